@@ -95,7 +95,7 @@ class ArmDiagnosis:
         joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
         skipped: joints that were not diagnosed, each with the reason.
         horizon: how long the free runs are over which the joints' parts and the whole robot are measured
-            (:func:`~hybrid_id.diagnosis.whole_robot.common_horizon`).
+            (:func:`~hybrid_id.diagnosis.whole_robot.common_horizon`), or as long as the user has asked for.
         parts: share of each diagnosed joint in the robot's gap, on train records, the others moving as they were
             measured (mean squares over the signal's variance): simulated, an error of one joint would be one of all
             that feel it. Where nothing is missing at any joint, in what the re-fitted robot leaves beyond noise.
@@ -333,6 +333,7 @@ def diagnose_arm(
             break
     _raise_without_any(found, skipped)
     answers = {name: answer for name, (_, answer) in found.items()}
+    horizon = horizon or common_horizon(answers, signal_share)
     if not stopped:  # who stops waits for no more fits
         try:
             answers = _checked(dataset, system, answers, horizon, seed, signal_share, progress)
@@ -355,7 +356,7 @@ def _checked(
     dataset: Dataset,
     system: System,
     answers: Mapping[str, Answer],
-    horizon: Horizon | None,
+    horizon: Horizon,
     seed: int,
     signal_share: float,
     progress: Progress | None,
@@ -380,7 +381,7 @@ def _of_whole_robot(
     found: Mapping[str, Diagnosis],
     skipped: Mapping[str, str],
     stopped: bool,
-    horizon: Horizon | None,
+    horizon: Horizon,
     seed: int,
     signal_share: float,
 ) -> ArmDiagnosis:
@@ -392,8 +393,6 @@ def _of_whole_robot(
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
     whole, lacking = None, any(one.search.chosen.effects for one in found.values())
-    bases = {name: (one.details.dataset, one.search.base.system) for name, one in found.items()}
-    horizon = horizon or common_horizon([one.horizon for one in found.values()], bases, signal_share)
     if not stopped:  # who stops waits for no more fits
         refit, whole = fitted_coupled(moving, refit, horizon, signal_share)
         model, whole = fitted_coupled(moving, model, horizon, signal_share) if lacking else (refit, whole)
@@ -409,7 +408,7 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    each = {name: (*bases[name], one.beyond_floor) for name, one in found.items()}
+    each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
     (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,

@@ -30,7 +30,8 @@ class Criteria:
         major_share: share of what the best explains that a simpler candidate has to explain to lead in its place, where
             both leave structure that the records do not surely distinguish.
         autocorrelation_left: share of the autocorrelation that a small first effect may leave.
-        left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival.
+        left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
+            of what the best leaves over whole records that one may leave over short runs for these to be taken.
         substantial: least share of the gap that a remainder has where something outside the catalogue is claimed, and
             that a torque has to explain of what remains to be named in the headline.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
@@ -41,7 +42,7 @@ class Criteria:
             misses.
         lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that shorter
             ones are tried, and
-        lost_refit: that of the re-fitted nominal model.
+        lost_refit: that of the re-fitted nominal model, of a robot's joint, too.
         followed: RMS of the best effect's errors, in noises, up to which free runs follow the records whatever they
             leave: nothing has added up along them.
         wrong_values: ratio of nominal to re-fitted RMS error from which the parameter values were wrong.

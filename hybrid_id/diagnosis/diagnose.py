@@ -249,10 +249,10 @@ def search(
     """Stages screen, fit and select: the horizon, and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise it is done over windows, where these distinguish the best effect from the others more
-    surely, and goes on over whole records, where these confirm the effects found over windows: a slow effect shows
-    there alone. Where the best effect still leaves some and each record's own values of the nominal model leave none,
-    records differ and no effect is missing.
+    leave no structure. Otherwise it is done over windows, where these say more of what is missing
+    (:func:`_over_short`), and goes on over whole records, where these confirm the effects found over windows: a slow
+    effect shows there alone. Where the best effect still leaves some and each record's own values of the nominal model
+    leave none, records differ and no effect is missing.
 
     Args:
         fits: fits models to the train records.
@@ -276,13 +276,11 @@ def search(
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
-                few = None if first is None or _left(first) > CRITERIA.left_open else _rivals(first) or None
                 short = _short_runs(fits, system)
-                if short is not None:
-                    step = selection_step(*short, system, among=few, progress=progress)
-                    if first is None or _shows_more(step, first):
-                        whole = None if first is None else (fits, base, first)
-                        (fits, base), first = short, step
+                step = None if short is None else _over_short(short, fits, first, best, system, progress)
+                if short is not None and step is not None:
+                    whole = None if first is None else (fits, base, first)
+                    (fits, base), first = short, step
         found = select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
@@ -347,16 +345,36 @@ def _short_runs(fits: Fits, system: System) -> tuple[Fits, FittedModel] | None:
     return None
 
 
-def _shows_more(short: SelectionStep, whole: SelectionStep) -> bool:
-    """Whether short runs say more of what is missing than whole ones: surer which it is, or next to all of it.
+def _over_short(
+    short: tuple[Fits, FittedModel],
+    fits: Fits,
+    first: SelectionStep | None,
+    best: FittedModel,
+    system: System,
+    progress: Progress | None,
+) -> SelectionStep | None:
+    """The first step over short runs, where these say more of what is missing than whole ones; None elsewhere.
 
-    Where no fit over whole runs follows the records, the least wrong one may have no rival: it has lost its way.
+    Short runs are surer than whole ones of which effect it is, of those that explain the greater part over whole ones.
+    Or no effect follows the whole records, so that nothing they say of any counts, and one explains next to all that
+    short runs show.
+
+    Args:
+        short: fits over short runs, and the re-fitted model there.
+        fits: over whole records.
+        first: the step there; None where the re-fitted model has lost them.
+        best: the model that predicts best there.
+        system: the nominal model.
+        progress: called with (stage, done, total).
     """
-    if _left(short) < CRITERIA.left_open * _left(whole):
-        return True
-    few = _rivals(whole)
-    alike = [e for e in short.candidates if not few or added_effect(e, short.before) in few]
-    return _rivalry(replace(short, candidates=tuple(alike))) < _rivalry(whole)
+    if first is None:
+        return selection_step(*short, system, progress=progress)
+    if fits.astray(best) > CRITERIA.lost:
+        step = selection_step(*short, system, progress=progress)
+        if accepted_ones(step) and _left(step) < CRITERIA.left_open * _left(first):
+            return step
+    step = selection_step(*short, system, among=_rivals(first) or None, progress=progress)
+    return step if _rivalry(step) < _rivalry(first) else None
 
 
 def _left(step: SelectionStep) -> float:

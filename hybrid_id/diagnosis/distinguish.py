@@ -12,8 +12,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, frozen_again
 from hybrid_id.diagnosis.grade import tied_step
@@ -22,7 +20,7 @@ from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
-from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.horizons import Horizon, joined
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.systems.chain import System
@@ -47,7 +45,7 @@ def distinguished(
         dataset: of the whole robot.
         nominal: the nominal robot.
         answers: of the joints by themselves, by name.
-        horizon: how long free runs are; None for what the joints' records ask for.
+        horizon: how long free runs are; None for the shortest that a joint's records ask for.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         progress: called with (stage, done, total).
@@ -105,8 +103,7 @@ def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel
     except UNFITTED:
         return None
     # windows of a record err for the same reasons: records are the witnesses
-    whole = [[fit.residual[k] for k in np.flatnonzero(np.array(rows.names) == name)] for name in names]
-    seen = validation([np.concatenate(own) for own in whole], rows.sample_time, names)
+    seen = validation([joined(fit.residual, fit, name) for name in names], rows.sample_time, names)
     return FittedModel((), fit, seen, judged=False)
 
 

@@ -36,7 +36,7 @@ from hybrid_id.identification.leave_one_out import folds, leave_one_out, started
 from hybrid_id.identification.restarts import confirmed, perturbed_restarts
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.windows import hidden_links
-from hybrid_id.parameters import Bounded
+from hybrid_id.parameters import NARROWEST_PRIOR, Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiler_works
@@ -296,7 +296,7 @@ def _prior_on_known(
 
 def _held(spec: Bounded, mean: float | None, std: float | None) -> Bounded:
     """A parameter with a prior, or without: from where no fit could bring it back it begins at the prior's mean."""
-    far = mean is not None and std is not None and std < NARROWEST * abs(spec.value)
+    far = mean is not None and std is not None and std < NARROWEST_PRIOR * abs(spec.value)
     return replace(spec.at(mean) if far else spec, prior_mean=mean, prior_std=std)
 
 

@@ -161,7 +161,7 @@ def borne_out(
         dataset: of the whole robot.
         nominal: the nominal robot.
         answers: of the joints by themselves, by name.
-        horizon: how long free runs are; None for what the joints' records ask for.
+        horizon: how long free runs are; None for the shortest that a joint's records ask for.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """

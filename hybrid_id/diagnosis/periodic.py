@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.components.base import Component
+from hybrid_id.components.motor.cogging import REPEATED
 from hybrid_id.diagnosis.response import Response, respond
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.batch import Batch
@@ -58,7 +59,7 @@ class Residual:
 
 
 def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]]:
-    """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle, best first: (n, T_c, T_s).
+    """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle that come again, best first: (n, T_c, T_s).
 
     The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
 
@@ -69,8 +70,10 @@ def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...
     """
     opened = left.opened(joint, "motor")
     phase = left.batch.x[..., opened.row]
-    periods = [*_between(1.0, float(PERIODS[0]), phase), *map(float, PERIODS)]
-    found = _strongest(opened, [_waves(n * phase) for n in periods])
+    least = 2.0 * math.pi * REPEATED / max(float(phase.max() - phase.min()), 1e-3)
+    every = [*_between(max(1.0, least), float(PERIODS[0]), phase), *map(float, PERIODS)]
+    periods = [n for n in every if n >= least]
+    found = _strongest(opened, [_waves(n * phase) for n in periods]) if periods else []
     return [(periods[i], *size) for i, size in _peaks(found)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -53,9 +53,7 @@ class WholeRobot:
         self.every = len(self.numbers) == len(nominal.joints)
         some_joints = self.numbers.values()
         self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
-        each = {n: (one.fits.dataset, one.found.base.system) for n, one in answers.items()}
-        asked = [one.fits.horizon for one in answers.values()]
-        self.horizon = horizon or common_horizon(asked, each, signal_share)
+        self.horizon = horizon or shortest([one.fits.horizon for one in answers.values()])
         self.kept = next(iter(answers.values())).fits.kept
 
     def key(self, name: str) -> str:
@@ -71,25 +69,18 @@ class WholeRobot:
         return robot if self.every else some(robot, list(self.numbers.values()))
 
 
-def common_horizon(
-    asked: Sequence[Horizon], found: Mapping[str, tuple[Dataset, System]], signal_share: float
-) -> Horizon:
-    """How long free runs of a whole robot are: the shortest that any joint asks for, or less.
+def common_horizon(answers: Mapping[str, Answer], signal_share: float) -> Horizon:
+    """How long free runs of a whole robot are: the shortest that any joint's records ask for, or less.
 
     A free run that has lost its record says how far it strays, and not how much is missing: where that of a re-fitted
-    joint does, runs begin again from measured states.
-
-    Args:
-        asked: the joints' own.
-        found: by a joint's name its records and its re-fitted model.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    joint has, runs begin again from measured states.
     """
-    horizon = shortest(asked)
+    horizon = shortest([one.fits.horizon for one in answers.values()])
     if horizon.kind == "windows" and horizon.seconds <= WINDOW:
         return horizon
-    for name, (dataset, base) in found.items():
-        seen = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
-        if seen is not None and max(seen.by_output.values()) > CRITERIA.lost_refit:
+    for name, one in answers.items():
+        errs = _beyond_noise(one.fits.dataset, one.found.base.system, horizon, signal_share).values()
+        if errs and np.mean([np.sqrt(square * share) for square, share in errs]) > CRITERIA.lost_refit:
             return Horizon("windows", WINDOW, f"longer ones lose the records of {name}")
     return horizon
 
@@ -132,18 +123,10 @@ def parts_of_gap(
     """
     gap, beyond = dict.fromkeys(found, 0.0), dict.fromkeys(found, 0.0)
     for name, (dataset, base, beyond_floor) in found.items():
-        trained = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
-        if trained is None:
-            continue
-        for channel in dataset.outputs:
-            logged = [
-                noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
-            ]
-            noise, error = channel.noise_std or float(np.mean(logged)), trained.rmse.get(channel.name, 0.0)
-            if error > noise:  # records in which a joint stands still are not among its own
-                square, share = trained.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
-                beyond[name] += len(dataset.train) * square * share
-                gap[name] += len(dataset.train) * square * min(beyond_floor, share)
+        for square, share in _beyond_noise(dataset, base, horizon, signal_share).values():
+            # records in which a joint stands still are not among its own
+            beyond[name] += len(dataset.train) * square * share
+            gap[name] += len(dataset.train) * square * min(beyond_floor, share)
     every, whole = sum(beyond.values()), sum(gap.values())
     if every == 0.0:
         even = dict.fromkeys(found, 1.0 / len(found))
@@ -158,3 +141,20 @@ def parts_of_gap(
         return least, part / max(large + part * (part < CRITERIA.substantial), 1e-300)
 
     return parts, {name: bounds(name, part) for name, part in parts.items()}
+
+
+def _beyond_noise(
+    dataset: Dataset, system: System, horizon: Horizon, signal_share: float
+) -> dict[str, tuple[float, float]]:
+    """By output the mean square of a model's train errors, over the signal's variance, and its share beyond the noise.
+
+    Without outputs that do not move, or err by no more than it.
+    """
+    seen = errors(dataset, system, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
+    found: dict[str, tuple[float, float]] = {}
+    for channel in dataset.outputs if seen is not None else ():
+        logged = [noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs]
+        noise, error = channel.noise_std or float(np.mean(logged)), seen.rmse.get(channel.name, 0.0)
+        if error > noise:
+            found[channel.name] = seen.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
+    return found

@@ -320,7 +320,7 @@ def astray(fits: Sequence[FitResult], batch: Batch) -> float:
     found = []
     for one in fits:
         for record in dict.fromkeys(one.records):
-            square = np.square(_joined(one.residual, one, record)).mean(0)
+            square = np.square(joined(one.residual, one, record)).mean(0)
             found.append(_relative(square, batch, batch.names.index(record)).mean())
     return float(np.mean(found))
 
@@ -341,8 +341,8 @@ def _lost_after(result: FitResult, batch: Batch) -> str:
     return f" after {np.argmax(lost) * batch.sample_time:.2g} s" if lost.any() else ""
 
 
-def _joined(parts: Sequence[np.ndarray], result: FitResult, record: str) -> np.ndarray:
-    """Rows of a record's pieces, one after the other."""
+def joined(parts: Sequence[np.ndarray], result: FitResult, record: str) -> np.ndarray:
+    """Rows of a record's pieces in a fit, one after the other: of its residuals, say."""
     return np.concatenate([part for part, name in zip(parts, result.records, strict=True) if name == record])
 
 
@@ -358,8 +358,8 @@ def covariance_size(result: FitResult, inside: Sequence[int]) -> tuple[float, fl
     information, scatter = prior + weak, prior + noise * weak
     known = information
     for record in records:
-        jacobian = _joined(result.jacobian, result, record)[..., inside]
-        score = np.einsum("tyi,ty->ti", jacobian, _joined(result.residual, result, record))
+        jacobian = joined(result.jacobian, result, record)[..., inside]
+        score = np.einsum("tyi,ty->ti", jacobian, joined(result.residual, result, record))
         information = information + np.einsum("tyi,tyj->ij", jacobian, jacobian)
         blocks = np.array([b.sum(0) for b in np.array_split(score, -(-BLOCKS // len(records)))])
         scatter = scatter + blocks.T @ blocks

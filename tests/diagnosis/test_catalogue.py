@@ -1,6 +1,5 @@
 """The catalogue: complete, buildable, and what it builds goes through a model file."""
 
-import math
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -14,10 +13,8 @@ from gapcase import STEP
 
 from hybrid_id import InputError, Record, load_model, one_link, save_model, two_link
 from hybrid_id.components import REGISTRY, Viscous
-from hybrid_id.components.site import Site
 from hybrid_id.diagnosis.catalogue import CATALOGUE, JOINTS, SIDES, effect, rivals, separation, with_effect
 from hybrid_id.diagnosis.scales import Scales, scales
-from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.compiled import source
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems import System
@@ -172,25 +169,6 @@ def test_a_weight_may_hang_at_any_angle() -> None:
             assert start.parameter("q_0").spec.estimate
             again = with_effect(effect("gravity_load"), start, size)
             assert not again, "a weight that is free already is not offered again"
-
-
-@pytest.mark.parametrize(("waves", "tried"), [(1.0, False), (1.9, False), (2.1, True), (9.0, True)])
-def test_a_wave_that_has_not_come_again_is_no_cogging(waves: float, tried: bool) -> None:
-    turns = 1.6
-    n = 2.0 * math.pi * waves / turns
-    size = Scales(
-        joint=1, ratio=1.0, sample_time=STEP, duration=2.0, command=12.0, command_rms=6.0, speed=2.0, turns=turns,
-        angle=1.6, middle=0.0, torque=0.05, dry=0.01, inertia=2e-5, rotor=1e-5,
-    )  # fmt: skip
-    law = CATALOGUE["cogging"].laws[0]
-    site = Site(
-        **vars(size), place="motor", components={}, rigid=True, ratios=(1.0,),
-        searches={"rotor_waves": lambda: [(n, 0.01, 0.0)]},
-    )  # fmt: skip
-    found = [start["n"] for start in law.starts(site)]
-    assert bool(found) == tried
-    for free in found:
-        assert isinstance(free, Bounded) and free.lower >= 4.0 * math.pi / turns - 1e-9
 
 
 @pytest.mark.parametrize("kind", drives())

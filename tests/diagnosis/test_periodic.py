@@ -2,6 +2,7 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -50,6 +51,16 @@ def test_periods_of_cogging() -> None:
     n, first, second = rotor_waves(fit, 1, "motor")[0]
     assert n == pytest.approx(1.0, abs=NEAR)
     assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
+
+
+def test_a_wave_that_does_not_come_again_is_none() -> None:
+    """Cogging repeats; what does not within the range may be any torque over the angle, a latch or a spring."""
+    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
+    phase = fit.batch.x[..., fit.opened(1, "motor").row]
+    twice = 4.0 * np.pi / float(phase.max() - phase.min())
+    assert all(n >= twice for n, *_ in rotor_waves(fit, 1, "motor"))
+    short = replace(fit, batch=replace(fit.batch, x=1e-4 * fit.batch.x), _responses=fit._responses)
+    assert rotor_waves(short, 1, "motor") == []  # no motor has so many periods a turn
 
 
 def test_periods_between_whole_numbers() -> None:

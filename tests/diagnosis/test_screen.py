@@ -1,6 +1,7 @@
 """One selection step: which candidates are fitted further, and which leads."""
 
 import math
+import sys
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,7 +10,6 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.diagnose import _shows_more
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
     _judged_below,
@@ -143,8 +143,9 @@ def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted()
 
 
 def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("asymmetric_friction", "load_dependent_friction")
+
     def step(*errors: float, rivalry: float = -math.inf) -> Any:
-        names = ("asymmetric_friction", "load_dependent_friction")
         found: list[Any] = [
             Fitted(((n, "joint1/motor_friction"),), e) for n, e in zip(names, errors, strict=False)
         ]
@@ -152,11 +153,27 @@ def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatc
         found[0].z = rivalry
         return SelectionStep(cast(Any, Fitted((), 100.0)), tuple(found))
 
-    monkeypatch.setattr("hybrid_id.diagnosis.diagnose._rivalry", lambda one: one.candidates[0].z)
-    # over whole records one is fitted and the other lost; over short ones the other explains next to all
-    assert _shows_more(step(10.0, 0.5), step(12.0))
-    # where whole records are followed, and nothing rivals what leads there, they have the say
-    assert not _shows_more(step(10.0, 0.5), step(1.0))
-    # what explains the records over both is told apart over those that are surer
-    assert _shows_more(step(1.1, 1.0, rivalry=-5.0), step(1.0, 1.1, rivalry=-1.0))
-    assert not _shows_more(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0))
+    def taken(short: Any, whole: Any, astray: float) -> Any:
+        def tried(*_: Any, among: Any = None, **__: Any) -> Any:
+            kept = [e for e in short.candidates if among is None or e.effects[0] in among]
+            return SelectionStep(short.before, tuple(kept))
+
+        monkeypatch.setattr(module, "selection_step", tried)
+        fits: Any = SimpleNamespace(astray=lambda _: astray)
+        return module._over_short(
+            cast(Any, (None, None)), fits, whole, cast(Any, None), cast(Any, None), None
+        )
+
+    module = sys.modules["hybrid_id.diagnosis.diagnose"]
+    monkeypatch.setattr(module, "_rivalry", lambda one: one.candidates[0].z)
+    monkeypatch.setattr(module, "accepted_ones", lambda one: list(one.candidates))
+    # no effect follows whole records; over short ones what was lost there explains next to all
+    found = taken(step(10.0, 0.5), step(12.0, 80.0), 0.5)
+    assert found.best.effects[0][0] == "load_dependent_friction"
+    assert taken(step(10.0, 5.0), step(12.0, 80.0), 0.5) is None  # not next to all
+    # where whole records are followed, only what explains them is looked for over short ones
+    assert taken(step(10.0, 0.5), step(1.0, 80.0), 0.01) is None
+    found = taken(step(1.0, 0.5, rivalry=-5.0), step(1.0, 1.1, rivalry=-1.0), 0.01)
+    assert found.best.effects[0][0] == "load_dependent_friction"
+    assert taken(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0), 0.01) is None
+    assert taken(step(1.1, 1.0), None, 9.0) is not None

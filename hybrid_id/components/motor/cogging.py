@@ -12,7 +12,7 @@ FIRST_SHARES = (1.0, 0.3)
 """Of the cogging that a linear estimate asks for: beside so much, the rotor may stop elsewhere than it did."""
 
 REPEATED = 2.0
-"""Waves over the range of a record's motion from which a torque over the angle is periodic."""
+"""Waves over the range of all motion from which a torque over the angle is periodic: less may be any other."""
 
 NEAR = 0.02
 """Periods per turn by which a number may miss the whole one that stands for it in MuJoCo: a record has few turns."""
@@ -66,17 +66,14 @@ class Cogging(RotorTorque):
     @staticmethod
     def starts(site):
         limit, near = 3.0 * site.torque, math.pi / site.turns
-        least = (
-            2.0 * REPEATED * near
-        )  # what has not come again over the range may be any torque over the angle
+        least = 2.0 * REPEATED * near
         return [
             {
                 "T_c": free(share * c, -limit, limit),
                 "T_s": free(share * d, -limit, limit),
                 "n": free(n, max(n - near, least), n + near),
             }
-            for n, c, d in site.search("rotor_waves", (1.0, 1e-6, 0.0))[:2]
-            if n >= least
+            for n, c, d in site.search("rotor_waves", (least, 1e-6, 0.0))[:2]
             for share in FIRST_SHARES
         ]
 
