@@ -101,7 +101,7 @@ def screen(
     coarse = best_of_each([one for one in fits.run(near, COARSE, tick) if one is not None], STARTS)
     ranked = _finer(fits, nominal, before, coarse, tick)
     ranked = [*_freed(fits, nominal, before, ranked[:1]), *ranked[1:]]
-    if fits.whole and not (ranked and ranked[0].white):
+    if not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
     return ranked
@@ -188,7 +188,7 @@ def _from_afar(
 
     seen = coarse(fits.over(Horizon("windows", WINDOW)), False)
     found = further(seen, seen[0].trained if seen else math.inf, PROMISING)
-    if any(one.white for one in found):
+    if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
     return [*found, *further(coarse(fits, True), known, STARTS)]

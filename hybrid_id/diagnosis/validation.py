@@ -19,8 +19,6 @@ BLOCK = 0.25
 """Length [s] of the blocks in which errors are compared."""
 FEWEST = 4
 """Records from which a mean over records has a standard error."""
-LEAST_SCALE = 1e-9
-"""Mean square of a row, relative to that of all, below which it counts as none."""
 DRAWS = 2000
 """Draws of a null distribution, and of a bootstrap."""
 
@@ -85,8 +83,8 @@ class Validation:
     def z(self, other: Validation) -> float:
         """By how many standard errors this one predicts better than another: mean relative difference of their blocks.
 
-        Relative to the errors of both, for a free run's error grows along the record: the last blocks would drown the
-        rest, and no effect, however large, would be sure.
+        Relative to the errors of both and the noise, for a free run's error grows along the record: the last blocks
+        would drown the rest, and no effect, however large, would be sure.
         """
         difference = _relative(self, other)
         spread = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
@@ -94,6 +92,9 @@ class Validation:
 
     def over_records(self, other: Validation) -> tuple[float, int]:
         """The same where both err for reasons of their own, record by record: these reasons last as long as a record.
+
+        Errors below the noise say nothing: it is added to both, and records in which both err by less are left out, as
+        those are in which a joint stands still.
 
         Returns:
             Mean over the records of the logarithm of the ratio of mean squares, in standard errors (Student's t), and
@@ -105,8 +106,11 @@ class Validation:
             sizes = np.bincount(own)
             within = np.concatenate([np.arange(size) * parts // size for size in sizes])
             own = np.unique(own * parts + within, return_inverse=True)[1]
-        ratio = np.log(np.maximum(np.bincount(own, other.blocks), 1e-300))
-        ratio -= np.log(np.maximum(np.bincount(own, self.blocks), 1e-300))
+        noise = np.bincount(own, _noise(self, other))
+        ours, theirs = np.bincount(own, self.blocks), np.bincount(own, other.blocks)
+        ratio = np.log((theirs + noise) / (ours + noise))
+        loud = np.maximum(ours, theirs) > noise
+        ratio = ratio[loud] if loud.sum() >= FEWEST else ratio
         n = len(ratio)
         spread = float(ratio.std(ddof=1)) if n > 1 else 0.0
         return float(ratio.mean() / max(spread, 1e-3) * np.sqrt(n)), n
@@ -148,11 +152,10 @@ def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -
     if not richer:
         return np.empty(0)
     generator, ones = np.random.default_rng(seed), []
-    scale = np.array([simpler.blocks[simpler.row == r].mean() for r in range(int(simpler.row.max()) + 1)])
-    # a window that stands still has next to no error, and says as little
-    scale = np.maximum(scale, max(LEAST_SCALE * scale.mean(), 1e-300))[simpler.row]
+    rows = np.bincount(simpler.row)
     for one in richer:
-        ones += [(simpler.blocks - one.blocks) / scale, _relative(one, simpler)]
+        scale = np.bincount(simpler.row, simpler.blocks + _noise(one, simpler)) / np.maximum(rows, 1)
+        ones += [(simpler.blocks - one.blocks) / scale[simpler.row], _relative(one, simpler)]
     differences = np.array(ones)
     size = np.sqrt(np.square(differences).sum(1)).clip(1e-300)
     alike = np.sqrt([_correlation_length(one, simpler.row) for one in ones])
@@ -163,7 +166,15 @@ def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -
 
 
 def _relative(one: Validation, other: Validation) -> np.ndarray:
-    return (other.blocks - one.blocks) / np.maximum(other.blocks + one.blocks, 1e-300)
+    return (other.blocks - one.blocks) / (other.blocks + one.blocks + _noise(one, other))
+
+
+def _noise(one: Validation, other: Validation) -> np.ndarray:
+    """What the noise alone leaves of each block, below which errors say nothing: those of a joint that stands still.
+
+    A block whose errors are all zero has counted none of its measurements.
+    """
+    return np.maximum(one.sizes, other.sizes)
 
 
 def _correlation_length(series: np.ndarray, row: np.ndarray) -> float:

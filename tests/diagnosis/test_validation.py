@@ -62,12 +62,25 @@ def test_blocks_are_parts_of_the_mean_square(lengths: list[int], outputs: int, s
 
 def test_records_are_the_witnesses_where_errors_last_as_long_as_they_do(rng: np.random.Generator) -> None:
     """One of two records better and one worse says nothing, however many blocks each has."""
-    base = rng.uniform(0.9, 1.1, ROWS * BLOCKS)
+    base = 1e6 * rng.uniform(0.9, 1.1, ROWS * BLOCKS)  # far above the noise
     better = np.repeat([0.2, 5.0] * (ROWS // 2), BLOCKS)
     mixed, surplus = from_blocks(base * better), from_blocks(0.5 * base)
     (t, n), (sure, _) = mixed.over_records(from_blocks(base)), surplus.over_records(from_blocks(base))
     assert n == ROWS and abs(t) < 0.1 and sure > 50.0
     assert from_blocks(base).over_records(mixed)[0] == pytest.approx(-t)
+
+
+def test_records_below_the_noise_are_no_witnesses(rng: np.random.Generator) -> None:
+    """A joint that stands still errs by next to nothing with one model and by nothing with another."""
+    sizes, row = np.full(36 * BLOCKS, 25), np.repeat(np.arange(36), BLOCKS)
+    moving, still = 25.0 * rng.uniform(5.0, 15.0, 6 * BLOCKS), np.zeros(30 * BLOCKS)
+    one, other = (
+        Validation(np.r_[more * moving, still + rest], sizes, row, 100.0, row)
+        for more, rest in ((1.1, 0.0), (1.0, 10.0))
+    )
+    t, n = one.over_records(other)
+    assert n == 6 and t < -2.0
+    assert other.over_records(one) == (pytest.approx(-t), 6)
 
 
 def test_few_records_are_divided(rng: np.random.Generator) -> None:
@@ -175,7 +188,7 @@ def test_a_search_finds_the_one_that_is_better(candidates: int) -> None:
 
 def test_an_effect_that_acts_at_few_instants_is_seen(rng: np.random.Generator) -> None:
     """Where it acts the errors fall tenfold, elsewhere a needless parameter makes them a little worse."""
-    blocks = rng.uniform(0.9, 1.1, ROWS * BLOCKS)
+    blocks = 1e4 * rng.uniform(0.9, 1.1, ROWS * BLOCKS)  # far above the noise
     acts = np.arange(ROWS * BLOCKS) % 20 == 0
     simpler = from_blocks(np.where(acts, 10.0, 1.0) * blocks)
     richer = from_blocks(np.where(acts, 1.0, 1.1) * blocks)
