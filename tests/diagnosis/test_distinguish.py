@@ -25,8 +25,8 @@ from hybrid_id.systems.chain import System
 pytest.importorskip("mujoco")
 ZERO, TORQUE = ("encoder_zero", "joint2/sensor"), ("constant_torque", "joint2/load")
 LAWS: Mapping[tuple[str, str], Component] = {
-    ZERO: REGISTRY["motor_log"](offset=0.05),
-    TORQUE: REGISTRY["constant_torque"](T_0=0.4),
+    ZERO: REGISTRY["motor_log"](offset=0.03),
+    TORQUE: REGISTRY["constant_torque"](T_0=0.24),
 }
 
 
