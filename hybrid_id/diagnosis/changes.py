@@ -17,14 +17,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from hybrid_id.components.base import Component, Friction, Inertia
-from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.components.load.arm_gravity import ArmGravity
 from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.load.two_link import JointCoupling
 from hybrid_id.components.motor.current_motor import CurrentMotor
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.motor.torque_motor import TorqueMotor
-from hybrid_id.diagnosis.plausibility import named, torque_power
+from hybrid_id.diagnosis.plausibility import as_late, named, torque_power
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.statistics.uncertainty import covariance, robust_covariance
@@ -36,8 +35,6 @@ LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
 HALF_WIDTH = 1.96
 """Standard errors from the middle of a 95 % interval to its ends."""
-LATE = 0.008
-"""Shift of a goal in time [s] from which it is said: less is within a cycle of a position loop of 125 Hz."""
 VAGUE = 1.0
 """Relative standard error from which a direction counts as not identified."""
 
@@ -182,7 +179,7 @@ def _several(
     within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
     changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
     beside = ", ".join(
-        f"{named(info)} {_change_words(own)}{_as_late(nominal, info, own)}" for info, own in changes
+        f"{named(info)} {_change_words(own)}{as_late(nominal, info, own)}" for info, own in changes
     )
     if parts:
         words = "; ".join(_words(nominal, one, names) for one in parts)
@@ -437,20 +434,6 @@ def _change_words(size: float) -> str:
     return f"{100 * np.expm1(size):+.0f} %"
 
 
-def _as_late(system: System, info: ParameterInfo, own: float) -> str:
-    """What looks like other viscous friction in a position loop: at a steady speed w the goal leads by F_v w / k_p."""
-    joint = system.joint(_joint(info))
-    loop, viscous = joint.drive.input[1], info.spec.unit == "N m s/rad"
-    if not (isinstance(loop, PositionServo) and isinstance(_part(system, info), Friction) and viscous):
-        return ""
-    geared = joint.gear_ratio**2 if "/motor_friction/" in info.component else 1.0
-    late = geared * info.spec.value * math.expm1(own) / loop.specs["k_p"].value
-    if abs(late) < LATE:
-        return ""
-    way = "later" if late > 0.0 else "earlier"
-    return f" (a goal that acts {1e3 * abs(late):.0f} ms {way} looks alike in slow motion)"
-
-
 def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     """A change as a clause, with what each parameter did where they did not move as one."""
     one, lead = solution.hypothesis, solution.hypothesis.lead
@@ -477,7 +460,7 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
         words = f"friction{joint} has changed (temperature, grease or wear)"
     if one.columns.shape[1] > 1:
         changes = [
-            f"{named(info)} {_change_words(own)}{_as_late(system, info, own)}"
+            f"{named(info)} {_change_words(own)}{as_late(system, info, own)}"
             for info, own in zip(infos, solution.sizes, strict=True)
         ]
         return f"{words}: {', '.join(changes)}"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.statistics.identifiability import Identifiability
@@ -20,6 +21,8 @@ UNLIKELY = 3.0
 """Standard deviations of a parameter's prior, where it has one, that are as much."""
 TO_ZERO = -3.0
 """Logarithm of a change that leaves nothing of a parameter."""
+LATE = 0.008
+"""Shift of a goal in time [s] from which it is said: less is within a cycle of a position loop of 125 Hz."""
 NUISANCE = 0.3
 """Share of its value by which a parameter without a prior may well be off."""
 
@@ -57,13 +60,34 @@ def implausible_parameters(
             words.append(f"{who} is driven to zero{_unseen(nominal, name, -1.0, identifiability)}")
         elif abs(own) > (TORQUE_TOLERANCE if power[name] else TOLERANCE):
             excuse = _unseen(nominal, name, math.expm1(own), identifiability)
-            words.append(f"{who} is {math.exp(own):.2f} times its nominal value{excuse}")
+            late = as_late(fitted, nominal.parameter(name), own)
+            words.append(f"{who} is {math.exp(own):.2f} times its nominal value{late}{excuse}")
     return words
 
 
 def named(info: ParameterInfo) -> str:
     """A parameter's name and symbol, such as ``Coulomb level F_c``."""
     return f"{info.doc} {info.name}"
+
+
+def as_late(system: System, info: ParameterInfo, own: float) -> str:
+    """What looks like other viscous friction in a position loop: at a steady speed w the goal leads by F_v w / k_p.
+
+    Args:
+        system: whose loop it is.
+        info: the parameter, with its nominal value.
+        own: logarithm of its change.
+    """
+    joint = system.joint(int(info.component.split("/")[0].removeprefix("joint")))
+    loop, viscous = joint.drive.input[1], info.spec.unit == "N m s/rad"
+    if not (isinstance(loop, PositionServo) and "_friction/" in info.component and viscous):
+        return ""
+    geared = joint.gear_ratio**2 if "/motor_friction/" in info.component else 1.0
+    late = geared * info.spec.value * math.expm1(own) / loop.specs["k_p"].value
+    if abs(late) < LATE:
+        return ""
+    way = "later" if late > 0.0 else "earlier"
+    return f" (a goal that acts {1e3 * abs(late):.0f} ms {way} looks alike in slow motion)"
 
 
 def torque_power(unit: str) -> int:

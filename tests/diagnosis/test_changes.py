@@ -10,6 +10,7 @@ from drives import make_records, multisine, rigid_drive
 from servo_arm import described
 
 from hybrid_id.diagnosis.changes import _change_words, find_change
+from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.prepare import make_batch
@@ -180,6 +181,13 @@ def test_in_a_position_loop_viscous_friction_may_be_a_late_goal(tmp_path: Path) 
     )
     assert late and abs(int(late[1]) - 30) < 4
     assert "goal" not in find_change(servo, pretended(servo, changed(servo, F_c_lift=1.5))).words
+    # where other parameters have moved, too, it is said beside the implausible one
+    (said,) = implausible_parameters(servo, changed(servo, F_v_lift=1.0 + more))
+    assert re.search(
+        r"times its nominal value \(a goal that acts 30 ms later looks alike in slow motion\)$", said
+    )
+    (said,) = implausible_parameters(servo, changed(servo, F_c_lift=3.0))
+    assert said.endswith("times its nominal value")
 
 
 def test_held_parameters_and_a_condensed_fit() -> None:
