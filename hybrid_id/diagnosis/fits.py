@@ -296,8 +296,9 @@ def _prior_on_known(
 
 def _held(spec: Bounded, mean: float | None, std: float | None) -> Bounded:
     """A parameter with a prior, or without: from where no fit could bring it back it begins at the prior's mean."""
-    far = mean is not None and std is not None and std < NARROWEST_PRIOR * abs(spec.value)
-    return replace(spec.at(mean) if far else spec, prior_mean=mean, prior_std=std)
+    if mean is not None and std is not None and std < NARROWEST_PRIOR * abs(spec.value):
+        spec = spec.at(mean)
+    return replace(spec, prior_mean=mean, prior_std=std)
 
 
 def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | Unfitted:

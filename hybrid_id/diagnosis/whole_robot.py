@@ -152,7 +152,9 @@ def _beyond_noise(
     """
     seen = errors(dataset, system, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
     found: dict[str, tuple[float, float]] = {}
-    for channel in dataset.outputs if seen is not None else ():
+    if seen is None:
+        return found
+    for channel in dataset.outputs:
         logged = [noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs]
         noise, error = channel.noise_std or float(np.mean(logged)), seen.rmse.get(channel.name, 0.0)
         if error > noise:
