@@ -39,8 +39,8 @@ class Cogging(RotorTorque):
     n_2 = Parameter(12.0, upper=1e4, unit="1", doc="periods per turn of the second wave", estimate=False)
     effect = Effect(
         "cogging",
-        "magnets that pull the rotor to its slots; usually 1 to 5 % of the rated torque, none with an ironless rotor; "
-        "looked for where it comes again over the range of motion",
+        "magnets that pull the rotor to its slots, again and again over the range of motion; usually 1 to 5 % of the "
+        "rated torque, none with an ironless rotor",
         "T. M. Jahns, W. L. Soong, Pulsating torque minimization techniques for permanent magnet AC motor drives - a "
         "review, IEEE Trans. Industrial Electronics 43(2), 1996",
         {
