@@ -23,7 +23,7 @@ from hybrid_id.components.load.two_link import JointCoupling
 from hybrid_id.components.motor.current_motor import CurrentMotor
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.motor.torque_motor import TorqueMotor
-from hybrid_id.diagnosis.plausibility import as_late, named, torque_power
+from hybrid_id.diagnosis.plausibility import as_late, joint_of, named, torque_power
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.statistics.uncertainty import covariance, robust_covariance
@@ -326,10 +326,10 @@ def _makes_sense(solution: _Solution) -> bool:
 
 def _hypotheses(system: System, infos: list[ParameterInfo]) -> Iterator[_Hypothesis]:
     """Every change that the parameters can show, one joint after the other, then all at once."""
-    joints = sorted({_joint(info) for info in infos})
+    joints = sorted({joint_of(info) for info in infos})
     coupled = any(isinstance(part, JointCoupling) for part in system.components.values())
     for joint in [*joints, *([0] if len(joints) > 1 else [])]:
-        mine = [joint in (0, _joint(info)) for info in infos]
+        mine = [joint in (0, joint_of(info)) for info in infos]
         loads = [m or coupled for m in mine] if joint == max(joints) else [m and not coupled for m in mine]
         yield from _load(system, infos, 0 if coupled else joint, loads)
         for name, part in (
@@ -361,11 +361,6 @@ def _part(system: System, info: ParameterInfo) -> Component:
     part = system.components[info.component]
     assert isinstance(part, Component)
     return part
-
-
-def _joint(info: ParameterInfo) -> int:
-    """Number of the joint that a parameter belongs to."""
-    return int(info.component.split("/")[0].removeprefix("joint"))
 
 
 def _is_weight(system: System, info: ParameterInfo) -> bool:

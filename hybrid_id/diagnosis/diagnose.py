@@ -277,8 +277,8 @@ def search(
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
                 short = _short_runs(fits, system)
-                step = None if short is None else _over_short(short, fits, first, best, system, progress)
-                if short is not None and step is not None:
+                step = short and _over_short(short, fits, first, best, system, progress)
+                if short and step:
                     whole = None if first is None else (fits, base, first)
                     (fits, base), first = short, step
         found = select(

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.components.base import Component
-from hybrid_id.components.motor.cogging import REPEATED
+from hybrid_id.components.motor.cogging import least_periods
 from hybrid_id.diagnosis.response import Response, respond
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.batch import Batch
@@ -70,9 +70,9 @@ def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...
     """
     opened = left.opened(joint, "motor")
     phase = left.batch.x[..., opened.row]
-    least = 2.0 * math.pi * REPEATED / max(float(phase.max() - phase.min()), 1e-3)
-    every = [*_between(max(1.0, least), float(PERIODS[0]), phase), *map(float, PERIODS)]
-    periods = [n for n in every if n >= least]
+    least = least_periods(max(float(phase.max() - phase.min()), 1e-3))
+    slow = _between(max(1.0, least), float(PERIODS[0]), phase)
+    periods = [*slow, *(float(n) for n in PERIODS if n >= least)]
     found = _strongest(opened, [_waves(n * phase) for n in periods]) if periods else []
     return [(periods[i], *size) for i, size in _peaks(found)]
 

@@ -70,6 +70,11 @@ def named(info: ParameterInfo) -> str:
     return f"{info.doc} {info.name}"
 
 
+def joint_of(info: ParameterInfo) -> int:
+    """Number of the joint that a parameter belongs to."""
+    return int(info.component.split("/")[0].removeprefix("joint"))
+
+
 def as_late(system: System, info: ParameterInfo, own: float) -> str:
     """What looks like other viscous friction in a position loop: at a steady speed w the goal leads by F_v w / k_p.
 
@@ -78,7 +83,7 @@ def as_late(system: System, info: ParameterInfo, own: float) -> str:
         info: the parameter, with its nominal value.
         own: logarithm of its change.
     """
-    joint = system.joint(int(info.component.split("/")[0].removeprefix("joint")))
+    joint = system.joint(joint_of(info))
     loop, viscous = joint.drive.input[1], info.spec.unit == "N m s/rad"
     if not (isinstance(loop, PositionServo) and "_friction/" in info.component and viscous):
         return ""

@@ -18,6 +18,11 @@ NEAR = 0.02
 """Periods per turn by which a number may miss the whole one that stands for it in MuJoCo: a record has few turns."""
 
 
+def least_periods(reach: float) -> float:
+    """Periods a turn from which a wave comes again within so large a range of the rotor's angle [rad]."""
+    return 2.0 * math.pi * REPEATED / reach
+
+
 class Cogging(RotorTorque):
     """``tau = T_c cos(n q) + T_s sin(n q)`` with the rotor's angle q, zero on average over a turn.
 
@@ -67,7 +72,7 @@ class Cogging(RotorTorque):
     @staticmethod
     def starts(site):
         limit, near = 3.0 * site.torque, math.pi / site.turns
-        least = 2.0 * REPEATED * near
+        least = least_periods(site.turns)
         return [
             {
                 "T_c": free(share * c, -limit, limit),
