@@ -102,7 +102,7 @@ def best_of_each(found: list[FittedModel | None]) -> list[FittedModel]:
 def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
     """Content of ``diagnosis.json``, with all that the proposed experiment is made of; of a robot joint by joint.
 
-    A robot's ``next_experiments`` are the best of each joint with a tie that matters.
+    A robot's ``next_experiments`` are those of each joint with a tie that matters.
 
     Raises:
         KeyboardInterrupt: stopped before its end: half a search is no answer to a case.
@@ -112,7 +112,7 @@ def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
         if found.interrupted:
             raise KeyboardInterrupt
         content = found.as_dict()
-        return content | {"next_experiments": proposed(found) + content["next_experiments"][1:]}
+        return content | {"next_experiments": proposed(found)}
     arm = diagnose_arm(dataset, system)
     if arm.interrupted:
         raise KeyboardInterrupt
@@ -125,12 +125,12 @@ def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
 
 
 def proposed(found: Diagnosis) -> list[dict[str, Any]]:
-    """The best proposed experiment with all that it is made of; none where none distinguishes.
+    """The proposed records with all that they are made of; none where they distinguish nothing.
 
-    Beside the entry of ``diagnosis.json``: ``sample_time``, the ``command``, the robot's other angles ``held`` and
+    Beside each entry of ``diagnosis.json``: ``sample_time``, the ``command``, the robot's other angles ``held`` and
     the outputs at its ``start``, by channel.
     """
-    entries: list[dict[str, Any]] = found.as_dict()["next_experiments"][:1]
+    entries: list[dict[str, Any]] = found.as_dict()["next_experiments"]
     for entry, one in zip(entries, found.experiments, strict=False):
         given = as_in_robot(one.inputs, found.model)
         entry |= {

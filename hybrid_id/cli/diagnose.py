@@ -339,14 +339,16 @@ def write_parts(
 
     save_model(diagnosis.model, folder / "model.yaml", home)
     save_model(diagnosis.search.base.system, folder / "refit.yaml", home)
-    if diagnosis.experiments and diagnosis.experiments[0].distinguishes:
-        from pandas import DataFrame
+    if diagnosis.experiments and diagnosis.experiments[-1].distinguishes:
+        from pandas import DataFrame, concat
 
         from hybrid_id.systems.by_joint import as_in_robot
 
-        best = diagnosis.experiments[0]
-        columns = as_in_robot(best.inputs, diagnosis.model)
-        DataFrame({"t": best.time, **columns}).to_csv(folder / NEXT, index=False, float_format="%.6g")
+        tables = [
+            DataFrame({"record": k, "t": one.time, **as_in_robot(one.inputs, diagnosis.model)})
+            for k, one in enumerate(diagnosis.experiments, 1)
+        ]
+        concat(tables).to_csv(folder / NEXT, index=False, float_format="%.6g")
     return write_report(
         folder,
         home,

@@ -637,7 +637,7 @@ def report(
         location=answer.before,
         residual_after=answer.after,
         implausible=tuple(implausible_parameters(system, found.base.system, identified)),
-        experiments=tuple(next_experiment(dataset, tied_models(found))),
+        experiments=tuple(next_experiment(dataset, tied_models(found), fits.horizon)),
         rejected=answer.rejected,
         varying=answer.varying,
         not_identifiable=not_identifiable(dataset, found.chosen.system),

@@ -461,10 +461,19 @@ def _ties(model: FittedModel, step: SelectionStep, name: Name) -> tuple[str, ...
     return tuple("@".join(rival) for rival in rivals if rival != name)
 
 
-def tied_models(found: Selection) -> list[FittedModel]:
-    """Models that explain the records as well as the chosen one, itself among them; empty without a rival."""
-    _, equals = tied_step(found, found.compared)
-    return equals
+def tied_models(found: Selection) -> list[list[FittedModel]]:
+    """For each selected effect that has rivals the models of the step which rates it, its own and those that tie."""
+    rated: dict[Name, tuple[float, list[FittedModel]]] = {}
+    for step in found.compared:
+        for model, probability in zip(
+            step.candidates, _probabilities(step) if step.best else (), strict=False
+        ):
+            name = added_effect(model, step.before)
+            if name in found.chosen.effects and (
+                name not in rated or step.swap or probability > rated[name][0]
+            ):
+                rated[name] = probability, indistinguishable(model, step)
+    return [equals for _, equals in rated.values() if len(equals) > 1]
 
 
 def tied_step(

@@ -1,19 +1,32 @@
-"""Which experiment would distinguish models that the records do not: of those simulated, the best."""
+"""Which records would distinguish models that the records at hand do not: of those simulated, the best few.
+
+What two models' outputs differ by under a command says little, for with the new records both are fitted anew: what
+their parameters can follow distinguishes nothing. So the models are linearised where they are, and what counts is the
+difference that is left when one has moved to what the other does, as far as the records at hand let it (T-optimal
+design: A. C. Atkinson, V. V. Fedorov, The design of experiments for discriminating between two rival models, Biometrika
+62, 1975). Free runs are as long as those of the fits: of a joint that is commanded in torque, its own controller hides
+the difference in the motion, and the logged torque shows it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import combinations, product
 
 import numpy as np
+import torch
 
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.validation import mean_square
+from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import DRIVES, estimate_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -27,17 +40,18 @@ DURATION = 8.0
 """Length [s] of a proposed record."""
 REST = 0.1
 """Time [s] at rest at its start."""
+RECORDS = 4
+"""Records that are proposed at most: where structure remains, fewer are no witnesses (Student's t over records)."""
 BEYOND = 0.5
 """How far a robot's joint may go beyond where the records have been, over their range."""
 LOOP, DAMPING = 3.0, 0.7
 """Frequency [Hz] and damping ratio of the position loop by which a robot's joint is thought to be moved, when it is
 commanded in torque: its own controller is not known, but by torque alone it would fall."""
-BY_CONTROLLER = " of goals for its own controller"
-"""Added to the name of such an experiment."""
 DISTINGUISHABLE = 0.5
-"""Least RMS difference of two models' outputs, over the encoders' noise, from which a record distinguishes them."""
+"""Least RMS difference of two models' outputs, over the errors that they leave, from which records distinguish them."""
 
 Signal = Callable[[np.ndarray], np.ndarray]
+Pair = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +66,11 @@ class Experiment:
         channel: that of the command that moves; ``goal`` of a robot's joint that its records command in torque, which
             its own controller shall follow.
         start: outputs at which it begins, at rest.
-        distance: RMS difference of the outputs of two such models, in units of the encoders' noise: the smallest of
-            those pairs that the record distinguishes, or the largest where it distinguishes none.
+        distance: RMS difference of the outputs of two such models, both fitted to this record and those proposed
+            before it, over the errors that they leave on the records at hand (the encoders' noise at least): of those
+            pairs that the proposed records distinguish the smallest, or the largest where they distinguish none.
         distance_now: the largest distance of these pairs on the records at hand.
-        together: pairs of effects, ``name@where``, that it does not distinguish.
+        together: pairs of effects, ``name@where``, that they do not distinguish.
     """
 
     name: str
@@ -64,8 +79,8 @@ class Experiment:
     inputs: Mapping[str, np.ndarray]
     channel: str
     start: Mapping[str, float]
-    distance: float
-    distance_now: float
+    distance: float = 0.0
+    distance_now: float = 0.0
     together: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -74,8 +89,13 @@ class Experiment:
         return self.inputs[self.channel]
 
     @property
+    def by_controller(self) -> bool:
+        """Whether the joint's own controller has to follow a goal that the records at hand do not hold."""
+        return self.channel == f"goal{self.joint}" and f"tau{self.joint}" in self.inputs
+
+    @property
     def distinguishes(self) -> bool:
-        """Whether its record would distinguish the models."""
+        """Whether its record, with those before it, would distinguish the models."""
         return self.distance >= DISTINGUISHABLE
 
 
@@ -89,6 +109,7 @@ def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
     low = min(1.6 * breakaway, 0.5 * amplitude)
     return {
         "slow reversals just above breakaway": lambda t: low * np.sin(2 * np.pi * 0.4 * t),
+        "slowly through the whole range": lambda t: amplitude * np.sin(2 * np.pi * 0.125 * t),
         "reversals of growing size": lambda t: amplitude * (t / t[-1]) * np.sin(2 * np.pi * 1.0 * t),
         "a fast sweep": lambda t: 0.6 * amplitude * np.sin(2 * np.pi * (0.5 * t + 1.8 * t**2)),
         "a staircase of both signs": lambda t: amplitude * np.round(4 * np.sin(2 * np.pi * 0.15 * t)) / 4,
@@ -99,89 +120,276 @@ def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
     }  # fmt: skip
 
 
-def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Experiment]:
-    """Experiments that distinguish models, the best first; empty with fewer than two models.
+def next_experiment(
+    dataset: Dataset, tied: Sequence[Sequence[FittedModel]], horizon: Horizon = WHOLE
+) -> list[Experiment]:
+    """Records that together distinguish models, each the one that adds most to those before it; empty without a tie.
 
-    The best parts most pairs of them, and these most clearly: a bias and friction uneven by direction, say, move alike
-    under any command, which is no reason not to part both from a spring. Each model keeps the parameters that the
-    records gave it, so that the distance is what the next record will show.
+    What counts is how clearly every pair of them is distinguished that any record distinguishes: a bias and friction
+    uneven by direction, say, move alike under any command, which is no reason not to distinguish both from a spring.
 
     Args:
         dataset: its channels, amplitudes, noise and sample time.
-        models: fitted models that explain the records alike.
+        tied: groups of fitted models that explain the records alike.
+        horizon: how long free runs of their fits are.
     """
-    if len(models) < 2:
+    models = [one for group in tied for one in group]
+    if not models:
         return []
+    groups = np.repeat(np.arange(len(tied)), [len(group) for group in tied])
+    pairs = [(a, b) for a, b in combinations(range(len(models)), 2) if groups[a] == groups[b]]
+    noise, offers, every = _noise(dataset), list[Experiment](), list[dict[Pair, _Differences]]()
+    for joint in models[0].system.joints:
+        here = _offered(dataset, [one.system for one in models], joint)
+        if here is not None:
+            usable, logged = _simulated(dataset, models, here, noise)
+            if usable:
+                offers += usable
+                every.append(_differences(models, pairs, logged, noise, horizon))
+    if not offers:
+        return []
+    names = [name for group in tied for name in _names(group)]
+    return _chosen(offers, {p: _joined([one[p] for one in every]) for p in every[0]}, pairs, models, names)
+
+
+# ---- what is offered ----
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """The position loop by which a robot's joint is thought to be moved: torque [N m] of the error and the speed."""
+
+    k_p: float
+    k_d: float
+    most: float
+
+    def torque(self, goal: np.ndarray, angle: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        return np.clip(self.k_p * (goal - angle) - self.k_d * speed, -self.most, self.most)
+
+    def on(self, system: System, joint: Joint) -> System:
+        servo = PositionServo(k_p=self.k_p, k_d=self.k_d, tau_max=self.most)
+        return system.with_component(f"{joint.name}/input", servo)
+
+
+@dataclass(frozen=True, eq=False)
+class _Offer:
+    """Experiments of one joint; the loop that moves it where its records command a torque; and what is commanded."""
+
+    joint: Joint
+    experiments: tuple[Experiment, ...]
+    loop: _Loop | None
+    logged: str
+
+
+def _offered(dataset: Dataset, systems: Sequence[System], joint: Joint) -> _Offer | None:
+    """Every command in every posture of the others; None for a joint that nothing commands."""
     reference = dataset.train[0]
-    noise = _noise(dataset)
-    step = reference.sample_time
-    time = np.arange(0.0, DURATION, step)
-    moving = time >= REST
-    found = []
-    names = list(combinations(_names(models), 2))
-    systems = [one.system for one in models]
-    now = np.max(
-        [_distances(_runs(record, systems, models, noise), noise) for record in dataset.train], axis=0
+    logged = next(
+        (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
     )
-    for joint in systems[0].joints:
-        name = next(
-            (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
-        )
-        if name is None:
-            continue
-        name, moved = _by_controller(dataset, systems, joint, name)
-        how = "" if name in reference.inputs else BY_CONTROLLER
-        centre, amplitude = _room(dataset, joint, name)
-        offered = signals(amplitude, 0.15 * amplitude).items()
-        for (title, signal), (posture, angles) in product(offered, _postures(dataset).items()):
-            command = centre + np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
-            # a supply, a loop's gain and a switch stay as they were; the other joints and their drives rest
-            inputs = {
-                other: np.full_like(time, 0.0 if stem(other) in RESTING else float(np.median(values)))
-                for other, values in reference.inputs.items()
-            }
-            inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {name: command}
-            start = {other: float(values[0]) for other, values in reference.outputs.items()}
-            outputs = {other: np.full_like(time, value) for other, value in start.items()}
-            record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
-            runs = _runs(record, moved, models, noise)
-            apart = _distances(runs, noise)
-            if not np.isfinite(apart).all() or not _within_limits(dataset, systems[0], list(noise), runs):
-                continue  # one of the models diverges under it, or leaves the joint's range
-            distinguished = apart >= DISTINGUISHABLE
-            shown = distinguished if distinguished.any() else apart == apart.max()
-            found.append(
-                Experiment(
-                    title + how + posture, joint.number, time, inputs, name, start, float(apart[shown].min()),
-                    float(now[shown].max()),
-                    tuple(pair for pair, one in zip(names, distinguished, strict=True) if not one),
-                )
-            )  # fmt: skip
-    return sorted(found, key=lambda e: (len(e.together), -e.distance))
+    if logged is None:
+        return None
+    loop = _loop(dataset, systems[0], joint, logged)
+    channel = logged if loop is None else f"goal{joint.number}"
+    time = np.arange(0.0, DURATION, reference.sample_time)
+    centre, amplitude = _room(dataset, joint, channel)
+    found = []
+    for (title, signal), (posture, angles) in product(
+        signals(amplitude, 0.15 * amplitude).items(), _postures(dataset).items()
+    ):
+        command = centre + np.where(time >= REST, signal(np.maximum(time - REST, 0.0)), 0.0)
+        # a supply, a loop's gain and a switch stay as they were; the other joints and their drives rest
+        inputs = {
+            other: np.full_like(time, 0.0 if stem(other) in RESTING else float(np.median(values)))
+            for other, values in reference.inputs.items()
+        }
+        inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {channel: command}
+        start = {other: float(values[0]) for other, values in reference.outputs.items()}
+        found.append(Experiment(title + posture, joint.number, time, inputs, channel, start))
+    return _Offer(joint, tuple(found), loop, logged)
 
 
-def _by_controller(
-    dataset: Dataset, systems: Sequence[System], joint: Joint, name: str
-) -> tuple[str, Sequence[System]]:
-    """The channel by which a joint is to be moved, and the systems with what follows it.
-
-    A robot's joint that its records command in torque gets a position loop of :data:`LOOP`, of at most the torque that
-    the records have seen, in place of that command; every other joint keeps its channel.
-    """
-    tree = systems[0].tree
-    if tree is None or stem(name) != "tau":
-        return name, systems
-    torque = max(float(np.abs(record.inputs[name]).max()) for record in dataset.train)
-    system = systems[0]
+def _loop(dataset: Dataset, system: System, joint: Joint, channel: str) -> _Loop | None:
+    """That of a robot's joint which its records command in torque, of at most the torque that they have seen."""
+    if system.tree is None or stem(channel) != "tau":
+        return None
     rotor = sum(
         info.spec.value
         for info in system.table
         if info.component.startswith(f"{joint.name}/") and info.spec.unit == "kg m^2"
     )
-    inertia = tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
+    inertia = system.tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
     rate = 2.0 * np.pi * LOOP
-    servo = PositionServo(k_p=inertia * rate**2, k_d=2.0 * DAMPING * inertia * rate, tau_max=torque)
-    return f"goal{joint.number}", [one.with_component(f"{joint.name}/input", servo) for one in systems]
+    most = max(float(np.abs(record.inputs[channel]).max()) for record in dataset.train)
+    return _Loop(inertia * rate**2, 2.0 * DAMPING * inertia * rate, most)
+
+
+# ---- what each model does under it, and how far the others can follow ----
+
+
+def _simulated(
+    dataset: Dataset, models: Sequence[FittedModel], offer: _Offer, noise: Mapping[str, float]
+) -> tuple[list[Experiment], list[list[Record]]]:
+    """The experiments that no model leaves its range in, and by model their records, as they would be logged."""
+    able, logged = np.ones(len(offer.experiments), bool), []
+    for model in models:
+        system = model.system if offer.loop is None else offer.loop.on(model.system, offer.joint)
+        outputs = {
+            name: np.full_like(offer.experiments[0].time, v) for name, v in offer.experiments[0].start.items()
+        }
+        commanded = [
+            Record(name=str(k), time=one.time, inputs=one.inputs, outputs=outputs)
+            for k, one in enumerate(offer.experiments)
+        ]
+        batch = make_batch(system, commanded, outputs=list(noise), noise_std=noise)
+        run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
+        angle, speed = (run.x[..., offer.joint.positions[-1] + k].numpy() for k in (0, 1))
+        records = []
+        for k, (one, record) in enumerate(zip(offer.experiments, commanded, strict=True)):
+            seen = {name: run.y[k, :, column].numpy() for column, name in enumerate(noise)}
+            able[k] &= _within_limits(dataset, models[0].system, seen)
+            inputs = dict(one.inputs)
+            if offer.loop is not None:
+                inputs[offer.logged] = offer.loop.torque(inputs.pop(one.channel), angle[k], speed[k])
+            records.append(replace(record, inputs=inputs, outputs=seen))
+        logged.append(records)
+    return (
+        [one for one, usable in zip(offer.experiments, able, strict=True) if usable],
+        [[one for one, usable in zip(records, able, strict=True) if usable] for records in logged],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """What one model leaves of another's outputs, record by record: half of a quadratic in its parameters.
+
+    Attributes:
+        cost: weighted squared differences, its start states moved to fit, ``(R,)``.
+        gradient, hessian: of half of it by its parameters, ``(R, n_f)`` and ``(R, n_f, n_f)``.
+        count: measurements, ``(R,)``.
+    """
+
+    cost: np.ndarray
+    gradient: np.ndarray
+    hessian: np.ndarray
+    count: np.ndarray
+
+    def after(self, rows: Sequence[int], known: np.ndarray) -> float:
+        """Mean square over some records once the parameters have moved, held by what is known of them (n_f, n_f)."""
+        rows = list(rows)
+        gradient, hessian = self.gradient[rows].sum(0), self.hessian[rows].sum(0) + known
+        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        step = np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-9)[0]
+        left = self.cost[rows].sum() - float(step @ (gradient / scale))
+        return max(float(left), 0.0) / float(self.count[rows].sum())
+
+
+def _joined(parts: Sequence[_Differences]) -> _Differences:
+    """Those of several joints' records, one after the other."""
+    return _Differences(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Differences)))
+
+
+def _differences(
+    models: Sequence[FittedModel],
+    pairs: Sequence[Pair],
+    logged: Sequence[Sequence[Record]],
+    noise: Mapping[str, float],
+    horizon: Horizon,
+) -> dict[Pair, _Differences]:
+    """By pair (who moves, who follows): both over the same free runs from the states that the first one's show."""
+    found = {}
+    for a, (mover, records) in enumerate(zip(models, logged, strict=True)):
+        own = _pieces(mover, records, noise, horizon)
+        truth = simulate(mover.system, with_substeps(mover.system, mover.result.engine, own), own).y
+        for b, other in enumerate(models):
+            if (a, b) in pairs or (b, a) in pairs:
+                batch = replace(_pieces(other, records, noise, horizon), y=truth)
+                found[a, b] = _left_by(other, batch, [one.name for one in records])
+    return found
+
+
+def _pieces(
+    model: FittedModel, records: Sequence[Record], noise: Mapping[str, float], horizon: Horizon
+) -> Batch:
+    batch = make_batch(model.system, records, outputs=list(noise), noise_std=noise)
+    return horizon.cut(model.system, model.result.engine, batch)
+
+
+def _left_by(model: FittedModel, batch: Batch, records: Sequence[str]) -> _Differences:
+    """What a model leaves of a batch's outputs, its start states moved within their uncertainty."""
+    system, free = model.system, model.system.estimated
+    engine = with_substeps(system, model.result.engine, batch)
+    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
+    at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
+    n_x = batch.x.shape[-1]
+    start = torch.linalg.solve(
+        at.hessian[:, :n_x, :n_x], torch.cat([at.gradient[:, :n_x, None], at.hessian[:, :n_x, n_x:]], 2)
+    )
+    pull = (at.hessian[:, n_x:, :n_x] @ start).numpy()
+    cost = 2.0 * at.cost - (at.gradient[:, :n_x] * start[..., 0]).sum(1)
+    rows = np.array([records.index(name) for name in batch.names])
+
+    def by_record(values: np.ndarray) -> np.ndarray:
+        total = np.zeros((len(records), *values.shape[1:]))
+        np.add.at(total, rows, values)
+        return total
+
+    return _Differences(
+        by_record(cost.numpy()),
+        by_record(at.gradient[:, n_x:].numpy() - pull[..., 0]),
+        by_record(at.hessian[:, n_x:, n_x:].numpy() - pull[..., 1:]),
+        by_record((batch.weight > 0).sum((1, 2)).numpy().astype(float)),
+    )
+
+
+# ---- which of them together ----
+
+
+def _chosen(
+    offers: Sequence[Experiment],
+    found: Mapping[Pair, _Differences],
+    pairs: Sequence[Pair],
+    models: Sequence[FittedModel],
+    names: Sequence[str],
+) -> list[Experiment]:
+    """The records in the order in which they add most, each with what it and those before it distinguish."""
+    leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
+    known = [_information(one) for one in models]
+
+    def distances(rows: Sequence[int]) -> np.ndarray:
+        """Of each pair, by the one of both that follows the other better."""
+        squares = [
+            min(found[a, b].after(rows, known[b]), found[b, a].after(rows, known[a])) for a, b in pairs
+        ]
+        return np.sqrt(np.array(squares) / leaves)
+
+    def worth(rows: Sequence[int]) -> float:
+        # a pair that is distinguished already adds little: the others' turn
+        return float(np.log1p(len(rows) * np.square(distances(rows))).sum())
+
+    now = np.array([_apart_now(models[a], models[b]) for a, b in pairs]) / np.sqrt(leaves)
+    rows, result, apart = list[int](), list[Experiment](), np.zeros(len(pairs))
+    while len(rows) < min(RECORDS, len(offers)):
+        rows.append(max((k for k in range(len(offers)) if k not in rows), key=lambda k: worth([*rows, k])))
+        apart = np.maximum(apart, distances(rows))  # a further record takes nothing back
+        clear = apart >= DISTINGUISHABLE
+        shown = clear if clear.any() else apart == apart.max()
+        alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
+        shows = {"distance": float(apart[shown].min()), "distance_now": float(now[shown].max())}
+        result.append(replace(offers[rows[-1]], together=alike, **shows))
+    return result
+
+
+def _information(model: FittedModel) -> np.ndarray:
+    """What the records at hand say of a model's parameters, its priors with it, ``(n_f, n_f)``."""
+    parts = [part.reshape(-1, part.shape[-1]) for part in model.result.jacobian]
+    return sum((part.T @ part for part in parts), np.diag(model.result.prior_precision))
+
+
+def _apart_now(one: FittedModel, other: FittedModel) -> float:
+    """RMS difference of what two models leave of the same records."""
+    rows = zip(one.result.residual, other.result.residual, strict=True)
+    return float(np.sqrt(mean_square([a - b for a, b in rows])))
 
 
 def _noise(dataset: Dataset) -> dict[str, float]:
@@ -220,23 +428,26 @@ def _postures(dataset: Dataset) -> dict[str, dict[str, float]]:
         return {"": {}}
     reached = {name: np.concatenate([record.inputs[name] for record in dataset.train]) for name in names}
     return {
-        f", the other joints at the {words} of what they have reached": {
-            name: float(np.quantile(values, share)) for name, values in reached.items()
-        }
-        for words, share in (("middle", 0.5), ("low end", 0.1), ("high end", 0.9))
+        f", the others {words}": {name: float(np.quantile(values, share)) for name, values in reached.items()}
+        for words, share in (
+            ("in the middle of their range", 0.5),
+            ("near its low end", 0.1),
+            ("near its high end", 0.9),
+        )
     }
 
 
-def _within_limits(
-    dataset: Dataset, system: System, names: Sequence[str], runs: Sequence[np.ndarray]
-) -> bool:
-    """Whether a robot's joints stay near where the records have been, and inside their limits but for where they were.
+def _within_limits(dataset: Dataset, system: System, outputs: Mapping[str, np.ndarray]) -> bool:
+    """Whether a run is finite, and a robot's joints stay near where the records have been, and inside their limits.
 
-    A command in torque takes a joint far in a few seconds, and nobody has said that there is room.
+    Inside but for where they were. A command in torque takes a joint far in a few seconds, and nobody has said that
+    there is room.
     """
+    if not all(np.isfinite(values).all() for values in outputs.values()):
+        return False
     if system.tree is None:
         return True
-    for column, name in enumerate(names):
+    for name, values in outputs.items():
         joint = next((j for j in system.joints if name in (f"q_m{j.number}", f"q_a{j.number}")), None)
         if joint is None:
             continue
@@ -247,24 +458,6 @@ def _within_limits(
         near = BEYOND * float(np.ptp(been))
         low = max(been.min() - near, min(low, been.min()))
         high = min(been.max() + near, max(high, been.max()))
-        if any(run[..., column].min() < low or run[..., column].max() > high for run in runs):
+        if values.min() < low or values.max() > high:
             return False
     return True
-
-
-def _runs(
-    record: Record, systems: Sequence[System], models: Sequence[FittedModel], noise: Mapping[str, float]
-) -> list[np.ndarray]:
-    """Outputs of every system on a record, ``(1, T, outputs)`` each, with its model's engine."""
-    runs = []
-    for system, model in zip(systems, models, strict=True):
-        batch = make_batch(system, [record], outputs=list(noise), noise_std=noise)
-        fine = with_substeps(system, model.result.engine, batch)
-        runs.append(simulate(system, fine, batch).y.numpy())
-    return runs
-
-
-def _distances(runs: Sequence[np.ndarray], noise: Mapping[str, float]) -> np.ndarray:
-    """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
-    scale = np.array(list(noise.values()))
-    return np.array([np.sqrt(np.mean(np.square((a - b) / scale))) for a, b in combinations(runs, 2)])

@@ -64,7 +64,7 @@ class Diagnosis:
         location: torques that would explain what the re-fitted model leaves, best first.
         residual_after: the same for the corrected model.
         implausible: parameters that the re-fit has moved beyond data-sheet tolerance, in words.
-        experiments: records that would distinguish tied effects, the best first; empty without ties.
+        experiments: records that together would distinguish tied effects, the best first; empty without ties.
         rejected: effects that were accepted by the search and are not sure enough to be asserted, in words.
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
             one common set does not; the chosen model then has the set of the record that fits the others best.
@@ -274,8 +274,8 @@ class Diagnosis:
                     "distance_today": e.distance_now,
                     "confounded": [[self._named(name) for name in pair] for pair in e.together],
                 }
-                for e in self.experiments[:3]
-                if e.distinguishes
+                for e in self.experiments
+                if self.experiments[-1].distinguishes
             ],
         }  # fmt: skip
 

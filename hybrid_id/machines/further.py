@@ -41,8 +41,10 @@ def further_records(
     formulas = [type(effect).__name__ for effect in machine.effects]
     _check(case, sheet, machine.engine, formulas, [effect.size() for effect in machine.effects])
     return [
-        further_record(machine, one["joint"], one["command"], one["sample_time"], seed=seed, name=name)
-        for one, name in zip(experiments, names, strict=True)
+        further_record(
+            machine, one["joint"], one["command"], one["sample_time"], seed=seed + 1000 * k, name=name
+        )
+        for k, (one, name) in enumerate(zip(experiments, names, strict=True))
     ]
 
 

@@ -318,7 +318,7 @@ def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
 
 
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
-    """The follow-up record that distinguishes the models best, as one line; none without ties."""
+    """The records that would together distinguish the models, as one line; none without ties."""
     if not diagnosis.experiments:
         if not diagnosis.ties or diagnosis.model.tree is None:
             return []
@@ -326,21 +326,28 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
             "next experiment: none is proposed, for by every simulated command the joint would leave the range of "
             "these records by more than half of it; change the load, or how the joint stands."
         ]
-    best = diagnosis.experiments[0]
+    *_, best = diagnosis.experiments  # with all before it
     if not best.distinguishes:
         return [
-            "next experiment: no simulated command makes the outputs of these models differ by more than "
-            f"{best.distance:.2g} times the encoders' noise (RMS); change the load, or how the joint stands."
+            "next experiment: no simulated commands make the outputs of these models, fitted anew, differ by more than "
+            f"{best.distance:.2g} times the errors that they leave (RMS); change the load, or how the joint stands."
         ]
-    place = joint_words(f"joint{best.joint}", diagnosis.model)
+    at, how = dict[int, list[str]](), " by goals for its own controller" if best.by_controller else ""
+    for one in diagnosis.experiments:
+        at.setdefault(one.joint, []).append(one.name)
+    records = "; ".join(
+        f"{joint_words(f'joint{joint}', diagnosis.model)}{how}: {'; '.join(names)}"
+        for joint, names in at.items()
+    )
     words = (
-        f"next experiment: {best.name} at {place}: the outputs of these models would differ by "
-        f"{best.distance:.2g} times the encoders' noise (RMS; {best.distance_now:.2g} in these records)."
+        f"next experiment, {count(len(diagnosis.experiments), 'record')} of {best.time[-1]:.0f} s at {records}. "
+        f"The outputs of these models, fitted anew, would differ by {best.distance:.2g} times the errors that they "
+        f"leave (RMS; {best.distance_now:.2g} in the records at hand)."
     )
     alike = "; ".join(
         " and ".join(_at(*_member(name), diagnosis.model) for name in pair) for pair in best.together
     )
-    return [words + (f" It does not distinguish {alike}." if alike else "")]
+    return [words + (f" They do not distinguish {alike}." if alike else "")]
 
 
 def rejected_lines(diagnosis: Diagnosis, why: str = "improbable, or of a size that may be zero") -> list[str]:

@@ -103,15 +103,15 @@ def test_the_next_experiment_is_ready_to_be_played(
     run, diagnosed, monkeypatch: pytest.MonkeyPatch, plain: Path, tmp_path: Path
 ) -> None:
     dataset, _, found = diagnosed
-    other = replace(found.search.chosen, result=replace(found.search.chosen.result, system=diagnosed[1]))
-    proposed = tuple(next_experiment(dataset, [found.search.chosen, other]))
+    proposed = tuple(next_experiment(dataset, [[found.search.chosen, found.search.base]]))
     monkeypatch.setattr(command, "run", lambda *_: replace(found, experiments=proposed))
     said = run("diagnose", plain, "--out", tmp_path / "gap")
     assert said.code == 0 and "next_experiment.csv" in said.out
     table = pd.read_csv(tmp_path / "gap" / "next_experiment.csv")
-    assert list(table) == ["t", *dataset.train[0].inputs]
-    np.testing.assert_allclose(table["u1"], proposed[0].command, rtol=1e-5)
-    assert np.ptp(table["u1"]) > 0.0
+    assert list(table) == ["record", "t", *dataset.train[0].inputs]
+    for k, one in enumerate(proposed, 1):
+        np.testing.assert_allclose(table["u1"][table["record"] == k], one.command, rtol=1e-5)
+        assert np.ptp(one.command) > 0.0
 
 
 def test_json_is_the_file(run, known, plain: Path, tmp_path: Path) -> None:

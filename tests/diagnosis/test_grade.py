@@ -135,10 +135,10 @@ def test_two_that_explain_alike_are_asserted_as_one_of_both() -> None:
     assert 0.4 < one.probability < 0.6 and one.tied_with == ("gravity_load@joint1/load",)
     assert one.probability + other.probability > 0.9
     assert tied_sets(found.effects) == [("spring_load@joint1/load", "gravity_load@joint1/load")]
-    assert tied_models(told) == [spring, weight]
+    assert tied_models(told) == [[spring, weight]]
     # whole records have added nothing
     whole = replace(search((base, model(40.0, BIAS)), chosen=spring), near=told)
-    assert tied_models(whole) == [spring, weight]
+    assert tied_models(whole) == [[spring, weight]]
     three = grade(NONE, search((base, spring, weight, model(1.005, BIAS, seed=3))), 0.0)
     assert share_of(three, SPRING).probability < CRITERIA.least_probability
     assert not doubtful(found) and not doubtful(three)  # together they are probable

@@ -1,63 +1,121 @@
-"""Which record would part models that the records at hand do not: simulated before it is proposed."""
+"""Which records would distinguish models that the records at hand do not: simulated before they are proposed."""
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.components import ConstantTorque, PositionLoop, Stribeck
+from hybrid_id.components import AsymmetricFriction, ConstantTorque, PositionLoop, Stribeck
+from hybrid_id.components.load.spring import Spring
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.next_experiment import REST, next_experiment
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.next_experiment import RECORDS, REST, _Differences, next_experiment
+from hybrid_id.diagnosis.validation import validation
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
+from hybrid_id.study.replays import batch_of
 from hybrid_id.systems import System
 from hybrid_id.systems.by_joint import alone, with_others_measured
 from hybrid_id.systems.model_file import load_model
 
 GOAL = Channel("goal1", "rad"), Channel("gain1", "1"), Channel("supply1", "V")
+FALLING = Stribeck(F_drop=0.01, v_s=20.0)
 
 
-def explanation(system: System, name: str = "today") -> SimpleNamespace:
+def explanation(
+    dataset: Dataset,
+    system: System,
+    name: str = "today",
+    *,
+    horizon: Horizon | None = None,
+    iterations: int = 0,
+) -> FittedModel:
     """A model as a search ends with it."""
-    effects = ((name, "joint1/load"),)
-    return SimpleNamespace(system=system, effects=effects, result=SimpleNamespace(engine=engine()))
+    batch = batch_of(dataset, system, dataset.train, 0.0, "cpu")
+    batch = batch if horizon is None else horizon.cut(system, engine(), batch)
+    found = fit(
+        system, batch, pooled=True, engine=engine(), options=Options(max_iterations=iterations), warm=False
+    )[0]
+    seen = validation(found.residual, dataset.sample_time, found.records)
+    return FittedModel(((name, "joint1/load"),), found, seen, judged=False)
 
 
-def test_the_experiment_that_parts_models_most_comes_first() -> None:
+def test_each_record_adds_what_those_before_it_lack() -> None:
     dataset, today = small_case()
-    falling = Stribeck(F_drop=0.005, v_s=20.0)
-    other = today.with_component("joint1/motor_friction", falling)
-    found = next_experiment(dataset, [explanation(today), explanation(other, "fall")])
-    distances = [one.distance for one in found]
-    assert len(found) == 6
-    assert distances == sorted(distances, reverse=True)
-    assert distances[0] > 0
+    tied = [
+        explanation(dataset, today),
+        explanation(dataset, today.with_component("joint1/motor_friction", FALLING), "fall"),
+    ]
+    found = next_experiment(dataset, [tied])
+    assert len(found) == RECORDS == len({one.name for one in found})
+    assert found[0].distinguishes and found[-1].distinguishes and not found[-1].together
     assert all(one.distance_now == found[0].distance_now > 0 for one in found)
     largest = max(np.abs(record.inputs["u1"]).max() for record in dataset.train)
     for one in found:
-        assert one.joint == 1
+        assert one.joint == 1 and not one.by_controller
         assert not one.command[one.time < REST].any()
         assert 0 < np.abs(one.command).max() <= largest * (1 + 1e-12)
 
 
-def test_what_no_command_parts_is_said_and_the_rest_parted() -> None:
-    dataset, today = small_case()
-    other = today.with_component("joint1/motor_friction", Stribeck(F_drop=0.005, v_s=20.0))
-    tied = [explanation(today, "bias"), explanation(today, "uneven"), explanation(other, "fall")]
-    best = next_experiment(dataset, tied)[0]
+def test_what_a_fit_can_follow_distinguishes_nothing() -> None:
+    draw = np.random.default_rng(1)
+    sensitivity, error = draw.normal(size=(2, 30, 3)), draw.normal(size=(2, 30))
+    square, pull = (
+        np.einsum(f"rni,rn{k}->ri{k}", sensitivity, one) for k, one in (("j", sensitivity), ("", error))
+    )
+    found = _Differences(np.square(error).sum(1), pull, square, np.full(2, 30.0))
+    left = np.linalg.lstsq(sensitivity.reshape(60, 3), error.ravel(), rcond=None)[1]
+    assert found.after([0, 1], np.zeros((3, 3))) == pytest.approx(left.item() / 60)
+    assert found.after([1], 1e12 * np.eye(3)) == pytest.approx(
+        np.square(error[1]).mean()
+    )  # all is known already
+    followed = sensitivity @ np.array([1.0, -2.0, 0.5])
+    pull = np.einsum("rni,rn->ri", sensitivity, followed)
+    both = _Differences(np.square(followed).sum(1), pull, square, np.full(2, 30.0))
+    assert both.after([0, 1], np.zeros((3, 3))) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_no_command_distinguishes_is_said_and_the_rest_distinguished() -> None:
+    dataset, today = small_case(ConstantTorque(T_0=0.01), "joint1/load")
+    bias = explanation(
+        dataset, today.with_component("joint1/load", ConstantTorque(T_0=0.01)), "bias", iterations=20
+    )
+    uneven = explanation(
+        dataset,
+        today.with_component("joint1/motor_friction", AsymmetricFriction(F_a=0.0004)),
+        "uneven",
+        iterations=20,
+    )
+    spring = explanation(
+        dataset, today.with_component("joint1/load", Spring(k_s=0.05)), "spring", iterations=20
+    )
+    best = next_experiment(dataset, [[bias, uneven, spring]])[-1]
     assert best.distinguishes and best.together == (("bias@joint1/load", "uneven@joint1/load"),)
-    assert best.distance == pytest.approx(next_experiment(dataset, tied[1:])[0].distance)
+
+
+def test_pairs_of_two_ties_are_compared_within_each() -> None:
+    dataset, today = small_case()
+    one, other = (
+        explanation(dataset, today),
+        explanation(dataset, today.with_component("joint1/motor_friction", FALLING), "fall"),
+    )
+    found = next_experiment(dataset, [[one, other], [one, one]])
+    assert found[-1].distinguishes and found[-1].together == (("", ""),)
 
 
 def test_noise_that_nobody_declared_is_estimated() -> None:
     dataset, today = small_case()
-    other = today.with_component("joint1/motor_friction", Stribeck(F_drop=0.005, v_s=20.0))
-    tied = [explanation(today), explanation(other, "fall")]
+    tied = [
+        explanation(dataset, today),
+        explanation(dataset, today.with_component("joint1/motor_friction", FALLING), "fall"),
+    ]
     silent = replace(dataset, outputs=tuple(replace(one, noise_std=None) for one in dataset.outputs))
-    declared, estimated = (next_experiment(one, tied)[0] for one in (dataset, silent))
+    declared, estimated = (next_experiment(one, [tied])[-1] for one in (dataset, silent))
     assert estimated.distance == pytest.approx(declared.distance, rel=0.1)
 
 
@@ -69,20 +127,21 @@ def test_goals_stay_where_the_records_have_been() -> None:
     supply = {"supply1": np.full_like(first.time, 7.4)}
     record = replace(first, inputs=goal | supply, outputs={"q_m1": 1.5 + 0.0 * first.time})
     served = replace(dataset, inputs=GOAL, records=(record,))
-    tied = [explanation(servo), explanation(servo, "other")]
-    for one in next_experiment(served, tied):
+    tied = [explanation(served, servo), explanation(served, servo, "other")]
+    found = next_experiment(served, [tied])
+    assert found
+    for one in found:
         low, high = goal["goal1"].min(), goal["goal1"].max()
         assert low - 1e-9 <= one.command.min() and one.command.max() <= high + 1e-9
         assert one.command[0] == pytest.approx((low + high) / 2)
 
 
-def test_models_that_are_alike_are_parted_by_none() -> None:
+def test_models_that_are_alike_are_distinguished_by_none() -> None:
     dataset, today = small_case()
-    short = replace(dataset, records=dataset.records[:1])
-    found = next_experiment(short, [explanation(today), explanation(today)])
-    assert found
-    assert not any(one.distinguishes or one.distance for one in found)
-    assert next_experiment(short, [explanation(today)]) == []
+    one = explanation(dataset, today)
+    found = next_experiment(dataset, [[one, one]])
+    assert found and not any(each.distinguishes or each.distance for each in found)
+    assert next_experiment(dataset, []) == []
 
 
 def test_a_robots_joint_stays_in_its_range_and_the_others_take_postures(tmp_path: Path) -> None:
@@ -109,12 +168,13 @@ def test_a_robots_joint_stays_in_its_range_and_the_others_take_postures(tmp_path
         system = load_model(tmp_path / "model.yaml")
         lift, seen = alone(system, 0), with_others_measured(records, system, 0)
         biased = lift.with_component("joint1/load", ConstantTorque(T_0=0.05))
-        found[name] = next_experiment(seen, [explanation(lift), explanation(biased, "bias")])
-    postures = sorted({float(one.inputs["angle2"][0]) for one in found["wide"]})
-    assert postures == pytest.approx([0.1, 0.5, 0.9], abs=0.03)
-    assert len({one.name for one in found["wide"]}) == len(found["wide"]) > len(found["narrow"])
-    for one in found[
-        "wide"
-    ]:  # by torque alone it would fall: its own controller follows goals where it has been
-        assert one.channel == "goal1" and "own controller" in one.name
+        short = Horizon("windows", 0.2)
+        tied = [explanation(seen, lift, horizon=short), explanation(seen, biased, "bias", horizon=short)]
+        found[name] = next_experiment(seen, [tied], short)
+    postures = {float(one.inputs["angle2"][0]) for one in found["wide"]}
+    assert all(min(abs(one - level) for level in (0.1, 0.5, 0.9)) < 0.03 for one in postures)
+    assert len({one.name for one in found["wide"]}) == RECORDS
+    for one in (*found["wide"], *found["narrow"]):
+        # by torque alone it would fall: its own controller follows goals where it has been
+        assert one.channel == "goal1" and one.by_controller
         assert np.abs(one.command).max() <= 3.0 + 1e-9

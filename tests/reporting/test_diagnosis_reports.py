@@ -225,10 +225,10 @@ def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> Non
     )
     assert "What would distinguish them: slow motion both ways over a quarter turn and more." in words
     assert (
-        "next experiment: reversals of growing size at joint 1: the outputs of these models would differ"
+        "next experiment, 1 record of 1 s at joint 1: reversals of growing size. The outputs of these models, fitted "
+        "anew, would differ by 12 times the errors that they leave (RMS; 1.3 in the records at hand)."
         in words
     )
-    assert "by 12 times the encoders' noise (RMS; 1.3 in these records)." in words
     idle = replace(diagnosed[2], ties=(TIED,), experiments=(replace(PROPOSED, distance=0.08),))
     assert "differ by more than 0.08 times" in " ".join(summary(idle).split())
     assert idle.as_dict()["next_experiments"] == []
