@@ -40,8 +40,9 @@ DURATION = 8.0
 """Length [s] of a proposed record."""
 REST = 0.1
 """Time [s] at rest at its start."""
-RECORDS = 4
-"""Records that are proposed at most: where structure remains, fewer are no witnesses (Student's t over records)."""
+RECORDS = 8
+"""Records that are proposed at most. Where structure remains records are the witnesses: beside N that say nothing, k
+that agree reach Student's t of ``sqrt((N + k) k / N)``, and with four beside four that is no distinction yet."""
 BEYOND = 0.5
 """How far a robot's joint may go beyond where the records have been, over their range."""
 LOOP, DAMPING = 3.0, 0.7
@@ -59,7 +60,8 @@ class Experiment:
     """A proposed record.
 
     Attributes:
-        name: what it is, in words.
+        name: what is commanded, in words.
+        posture: where the robot's other joints rest in what they have reached, in words; empty elsewhere.
         joint: whose command moves; the others rest.
         time: [s], ``(T,)``.
         inputs: all channels of the record, in SI units as the records hold them, ``(T,)`` each.
@@ -74,6 +76,7 @@ class Experiment:
     """
 
     name: str
+    posture: str
     joint: int
     time: np.ndarray
     inputs: Mapping[str, np.ndarray]
@@ -205,7 +208,7 @@ def _offered(dataset: Dataset, systems: Sequence[System], joint: Joint) -> _Offe
         }
         inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {channel: command}
         start = {other: float(values[0]) for other, values in reference.outputs.items()}
-        found.append(Experiment(title + posture, joint.number, time, inputs, channel, start))
+        found.append(Experiment(title, posture, joint.number, time, inputs, channel, start))
     return _Offer(joint, tuple(found), loop, logged)
 
 
@@ -369,8 +372,10 @@ def _chosen(
 
     now = np.array([_apart_now(models[a], models[b]) for a, b in pairs]) / np.sqrt(leaves)
     rows, result, apart = list[int](), list[Experiment](), np.zeros(len(pairs))
-    while len(rows) < min(RECORDS, len(offers)):
-        rows.append(max((k for k in range(len(offers)) if k not in rows), key=lambda k: worth([*rows, k])))
+    able = [k for k in range(len(offers)) if distances([k]).max() >= DISTINGUISHABLE]
+    able = able or list(range(len(offers)))  # a record that shows nothing by itself is no witness
+    while len(rows) < min(RECORDS, len(able)):
+        rows.append(max((k for k in able if k not in rows), key=lambda k: worth([*rows, k])))
         apart = np.maximum(apart, distances(rows))  # a further record takes nothing back
         clear = apart >= DISTINGUISHABLE
         shown = clear if clear.any() else apart == apart.max()
@@ -428,12 +433,8 @@ def _postures(dataset: Dataset) -> dict[str, dict[str, float]]:
         return {"": {}}
     reached = {name: np.concatenate([record.inputs[name] for record in dataset.train]) for name in names}
     return {
-        f", the others {words}": {name: float(np.quantile(values, share)) for name, values in reached.items()}
-        for words, share in (
-            ("in the middle of their range", 0.5),
-            ("near its low end", 0.1),
-            ("near its high end", 0.9),
-        )
+        words: {name: float(np.quantile(values, share)) for name, values in reached.items()}
+        for words, share in (("middle", 0.5), ("low end", 0.1), ("high end", 0.9))
     }
 
 

@@ -268,6 +268,7 @@ class Diagnosis:
             "next_experiments": [
                 {
                     "name": e.name,
+                    "posture": e.posture,
                     "joint": e.joint,
                     "distance": e.distance,
                     "distance_in_records": e.distance_now,

@@ -332,13 +332,19 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
             "next experiment: no simulated commands make the outputs of these models, fitted anew, differ by more than "
             f"{best.distance:.2g} times the errors that they leave (RMS); change the load, or how the joint stands."
         ]
-    at, how = dict[int, list[str]](), " by goals for its own controller" if best.by_controller else ""
+    how = " by goals for its own controller" if best.by_controller else ""
+    at: dict[int, dict[str, list[str]]] = {}
     for one in diagnosis.experiments:
-        at.setdefault(one.joint, []).append(one.name)
+        at.setdefault(one.joint, {}).setdefault(one.name, []).extend([one.posture] * bool(one.posture))
     records = "; ".join(
-        f"{joint_words(f'joint{joint}', diagnosis.model)}{how}: {'; '.join(names)}"
+        f"{joint_words(f'joint{joint}', diagnosis.model)}{how}: "
+        + "; ".join(
+            f"{name}{f' ({joined(postures)})' if postures else ''}" for name, postures in names.items()
+        )
         for joint, names in at.items()
     )
+    if best.posture:
+        records += "; in brackets where the other joints rest in what they have reached"
     words = (
         f"next experiment, {count(len(diagnosis.experiments), 'record')} of {best.time[-1]:.0f} s at {records}. "
         f"The outputs of these models, fitted anew, would differ by {best.distance:.2g} times the errors that they "

@@ -38,7 +38,7 @@ from hybrid_id.reporting.tensorboard import write_diagnosis_events
 from hybrid_id.systems import System
 
 PROPOSED = Experiment(
-    "reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", {"q_m1": 0.0}, 12.345, 1.3
+    "reversals of growing size", "", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", {"q_m1": 0.0}, 12.345, 1.3
 )
 TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
 MANY = (
