@@ -4,7 +4,7 @@ import dataclasses
 import datetime
 import shlex
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,8 @@ BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""
 TIES_RESOLVED = 0.7
 """Share of ties that the next experiment is to resolve."""
+ONE_LAW = {"constant_torque", "asymmetric_friction"}
+"""Dry friction whose levels differ by direction is a torque beside an even one: no record distinguishes these."""
 SCORES, BOARD, PAGE, TIES = "scores.json", "scoreboard.md", "report.html", "ties"
 OF_RUN: Mapping[str, Any] = {"commit": str, "started": str, "train_records": int | None}
 OF_CASES: Mapping[str, Any] = {"seed": int, "asked": int, "names": list, "options": dict, "commit": str}
@@ -271,7 +273,8 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
         )
     with sole_writer(folder):
         _diagnose([case for case in richer if case is not None], folder, settings, TIES, jobs, scheduler)
-    found = resolved({name: load(folder, name) for name in tied}, sheets) | {"commit": commit()}
+    before = {name: (load(runs / "diagnose", name) or {})["ties"] for name in tied}
+    found = resolved(before, {name: load(folder, name) for name in tied}, sheets) | {"commit": commit()}
     write_json(runs / f"{TIES}.json", found)
     return found
 
@@ -291,13 +294,17 @@ def tied_cases(folder: Path) -> dict[str, list[Mapping[str, Any]]]:
     return found
 
 
-def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, Any]:
-    """Share of ties that the follow-up record resolves, and of those resolved to what was at work.
+def resolved(
+    before: Mapping[str, Sequence[Sequence[str]]], again: Mapping[str, Any], sheets: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Share of ties that the follow-up records resolve, and of cases in which they show just what was at work.
 
-    A tie is resolved, too, where the record shows that something outside the catalogue is at work.
+    A tie is resolved where no two of its effects are indistinguishable any more, and something is said: effects, or
+    that something outside the catalogue is at work.
 
     Args:
-        again: the second diagnosis of each case with a tie.
+        before: each case's ties.
+        again: the second diagnosis of each.
         sheets: answers by case.
     """
     from hybrid_id.machines.judge import judge
@@ -307,12 +314,26 @@ def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, A
     for name, said in again.items():
         one = judge(name, sheets[name], said)
         answer = said if said is not None and not one.broken else {"effects": [], "ties": []}
+        says = any(e["selected"] for e in answer["effects"]) or bool(answer.get("unknown"))
         # no record distinguishes names that the answers hold for one
         same = [set(truth.get("right", ())) for truth in sheets[name]["effects"]]
-        left = [tie for tie in answer["ties"] if not any(set(tie) <= right for right in same)]
-        parted = not left and (any(e["selected"] for e in answer["effects"]) or bool(answer.get("unknown")))
-        rows[name] = {"resolved": parted, "right": parted and one.whole, "broken": one.broken}
+        ties = [
+            {
+                "effects": list(tie),
+                "resolved": says and not any(still_tied(tie, left, same) for left in answer["ties"]),
+            }
+            for tie in before[name]
+        ]
+        right = one.whole and all(tie["resolved"] for tie in ties)
+        rows[name] = {"ties": ties, "right": right, "broken": one.broken}
     return of_ties(rows, TIES_RESOLVED)
+
+
+def still_tied(tie: Sequence[str], left: Sequence[str], same: Sequence[Set[str]]) -> bool:
+    """Whether two effects of a tie, ``name@where``, stand in another one, and are not two names of one thing."""
+    both = set(tie) & set(left)
+    one_law = {name.partition("@")[0] for name in both} <= ONE_LAW
+    return len(both) > 1 and not one_law and not any(both <= right for right in same)
 
 
 def extended(

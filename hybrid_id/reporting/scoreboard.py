@@ -177,12 +177,12 @@ def ties_line(ties: Mapping[str, Any]) -> str:
     """How many ties the proposed experiment resolves, in a sentence or two."""
     if ties["resolved"] is None:
         return "No case had a tie for which an experiment was proposed."
-    left = [name for name, one in ties["cases"].items() if not one["resolved"]]
+    left = [name for name, one in ties["cases"].items() if not all(tie["resolved"] for tie in one["ties"])]
     verdict = _verdict(ties["met"], ties["shown"])
-    look = f" Not resolved: {', '.join(left[:12])}." if left else ""
+    look = f" Not all resolved: {', '.join(left[:12])}." if left else ""
     return (
         f"Ties that the proposed next experiment resolves: {value('resolved', ties['resolved'])}, target "
-        f"≥ {100 * ties['target']:.0f} %, {verdict}; resolved to exactly what was at work: "
+        f"≥ {100 * ties['target']:.0f} %, {verdict}; cases in which it shows exactly what was at work: "
         f"{value('right', ties['right'])}.{look}"
     )
 

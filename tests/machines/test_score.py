@@ -271,8 +271,10 @@ def test_a_tie_is_not_parted_by_naming_nothing() -> None:
     silent = said(effect("stribeck_friction")) | {"ties": []}
     tied = named | {"ties": [["stribeck_friction@a", "delay@b"]]}
     sheets = dict.fromkeys(("named", "silent", "tied", "broken"), STRIBECK)
-    found = resolved({"named": named, "silent": silent, "tied": tied, "broken": None}, sheets)
-    assert [name for name, one in found["cases"].items() if one["resolved"]] == ["named"]
+    before = dict.fromkeys(sheets, tied["ties"])
+    found = resolved(before, {"named": named, "silent": silent, "tied": tied, "broken": None}, sheets)
+    assert [name for name, one in found["cases"].items() if one["ties"][0]["resolved"]] == ["named"]
+    assert (found["resolved"]["value"], found["resolved"]["n"]) == (0.25, 4)
 
 
 def test_a_tie_of_two_names_for_one_thing_is_resolved_and_so_is_one_of_what_has_no_name() -> None:
@@ -282,9 +284,10 @@ def test_a_tie_of_two_names_for_one_thing_is_resolved_and_so_is_one_of_what_has_
     other = said(effect("constant_torque", "joint1/load", selected=True))
     other |= {"ties": [[*bias["right"], "spring_load@joint1/load"]]}
     unknown = said(unknown=True) | {"ties": []}
-    sheets = dict.fromkeys(("tied", "other", "unknown"), sheet("single", bias))
-    found = resolved({"tied": tied, "other": other, "unknown": unknown}, sheets)["cases"]
-    assert [found[name]["resolved"] for name in ("tied", "other", "unknown")] == [True, False, True]
+    names = ("tied", "other", "unknown")
+    sheets, before = dict.fromkeys(names, sheet("single", bias)), dict.fromkeys(names, other["ties"])
+    found = resolved(before, {"tied": tied, "other": other, "unknown": unknown}, sheets)["cases"]
+    assert [found[name]["ties"][0]["resolved"] for name in names] == [True, False, True]
     assert [found[name]["right"] for name in ("tied", "other", "unknown")] == [True, False, False]
 
 
