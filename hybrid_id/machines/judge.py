@@ -265,7 +265,7 @@ def _shrink(said: Said, answers: Truth) -> tuple[float | None, bool | None]:
     gap = said.get("gap") or {}
     before, after, claimed = gap.get("refit"), gap.get("with_effect"), gap.get("shrink")
     closes = any(e["selected"] for e in said.get("effects", [])) and answers["family"] in ("single", "pair")
-    if said.get("opened"):  # its errors are those of other test records than the answers'
+    if _of_other_errors(said, answers):
         return None, None
     if not closes or before is None or after is None or claimed is None:
         return None, None
@@ -279,11 +279,20 @@ def _shrink(said: Said, answers: Truth) -> tuple[float | None, bool | None]:
     return 100 * (claimed - true), covered
 
 
+def _of_other_errors(said: Said, answers: Truth) -> bool:
+    """Whether a diagnosis and the answers do not tell of the same errors.
+
+    Those of further test records; and of an arm, whose answers hold joints by themselves over whole records, while all
+    joints are simulated by a diagnosis, over as long as they follow.
+    """
+    return bool(said.get("opened")) or "arm" in answers
+
+
 def _closed(said: Said, answers: Truth) -> float | None:
     """Share of the oracle's closable gap that is closed; nothing where there is no corrected model."""
     oracle = answers["oracle"]
     closable = oracle["refit"] - oracle["with_effect"]
-    if answers["family"] not in ("single", "pair") or closable <= 0 or said.get("opened"):
+    if answers["family"] not in ("single", "pair") or closable <= 0 or _of_other_errors(said, answers):
         return None
     after = (said.get("gap") or {}).get("with_effect")
     return 0.0 if after is None or not math.isfinite(after) else (oracle["refit"] - after) / closable

@@ -153,6 +153,12 @@ def test_errors_on_other_test_records_than_the_answers_are_not_compared() -> Non
         "c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap) | {"opened": "rec_06"}
     )
     assert (found.closed, found.shrink_error, found.covered) == (None, None, None) and found.whole
+    # an arm's answers hold each joint by itself, a diagnosis simulates all
+    arm = STRIBECK | {"arm": {"joints": 2}}
+    named = said(effect("stribeck_friction", selected=True), gap=gap)
+    found = judge("c1", arm, named)
+    assert (found.closed, found.shrink_error, found.covered) == (None, None, None) and found.whole
+    assert judge("c1", STRIBECK, named).shrink_error is not None
 
 
 def test_nothing_at_work() -> None:
