@@ -156,7 +156,7 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         outside=unknown if not known else None,
         outside_at=_acts_there(said.get("unknown_at") or {}, truth[0]) if unknown and not known else None,
         false_unknown=unknown if known and not broken else None,
-        claims=tuple((float(e["probability"]), bool(_hits([e], truth))) for e in ranked),
+        claims=_claims(ranked, truth),
         shrink_error=error,
         covered=covered,
         closed=None if broken or of_arm else _closed(said, answers),
@@ -203,6 +203,21 @@ def _hits(chosen: Sequence[Said], truth: Sequence[Truth]) -> int:
         len(chosen), len(truth)
     )
     return int(right[linear_sum_assignment(right, maximize=True)].sum())
+
+
+def _claims(ranked: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float, bool], ...]:
+    """Probability of each ranked effect, and whether it was at work.
+
+    Each true effect serves its most probable name. Another name that the answers accept for it is neither right nor
+    wrong: of two names of one thing one alone can be probable.
+    """
+    found, served = [], set[int]()
+    for one in sorted(ranked, key=lambda e: -float(e["probability"])):
+        of = {k for k, t in enumerate(truth) if _right(one, t)}
+        if not of or of - served:
+            found.append((float(one["probability"]), bool(of)))
+            served |= set(sorted(of - served)[:1])
+    return tuple(found)
 
 
 def _in_a_word(leading: Sequence[Truth], chosen: Sequence[Said], unknown: bool) -> str:
