@@ -62,4 +62,5 @@ $(INSTALLED): pyproject.toml constraints.txt requirements.lock
 		|| { echo "PyTorch's own index was not reached: taking torch from pip's usual index."; \
 			$(BIN)/pip install -q -c constraints.txt torch; }
 	$(BIN)/pip install -q --no-deps --no-build-isolation -e .
+	@$(BIN)/hybrid-id doctor --ahead > /dev/null 2>&1 || true
 	@touch $@

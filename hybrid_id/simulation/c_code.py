@@ -1,4 +1,7 @@
-"""C code as a library: compiled for this machine, kept in the user's cache for other processes and later runs."""
+"""C code as a library: compiled for this machine, kept in the user's cache for other processes and later runs.
+
+What an environment's shipped systems need may be compiled ahead, for all who use it (:func:`kept_ahead`).
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,10 @@ import re
 import shutil
 import stat
 import subprocess
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 
 from torch import Tensor
@@ -24,8 +29,40 @@ from hybrid_id.records.files import write_together, write_whole
 FLAGS = ("-O2", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC")
 MOST_KEPT = 8000
 """Libraries in the user's cache, about 20 kB each."""
+AHEAD = Path(sys.prefix) / "share" / "hybrid_id"
+"""Where an environment's libraries are that were compiled ahead."""
 DIGEST = ".sha256"
 """Ending of the file that holds a library's digest."""
+
+
+_KEPT_IN: ContextVar[Path | None] = ContextVar("kept in", default=None)
+"""Where libraries are kept in place of the user's cache."""
+
+
+@contextlib.contextmanager
+def kept_ahead() -> Iterator[Path]:
+    """Keep what is compiled within for all who use this environment, in the folder that is given.
+
+    Raises:
+        InputError: nobody but its owner may write there.
+    """
+    try:
+        AHEAD.mkdir(parents=True, exist_ok=True, mode=0o755)
+    except OSError as error:
+        raise InputError(
+            f"Nothing can be kept in {AHEAD} ({error.strerror}); give its owner's rights."
+        ) from None
+    if not os.access(AHEAD, os.W_OK) or not _trusted(AHEAD):
+        raise InputError(
+            f"{AHEAD} is not for this user to write, or for others, too; give its owner's rights."
+        )
+    library.cache_clear()
+    token = _KEPT_IN.set(AHEAD)
+    try:
+        yield AHEAD
+    finally:
+        _KEPT_IN.reset(token)
+        library.cache_clear()
 
 
 def compiler() -> str | None:
@@ -48,10 +85,11 @@ def library(source: str, names: tuple[str, ...], flags: Sequence[str] = FLAGS) -
     found = compiler()
     if found is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
-    cache = _cache()
-    kept = None if cache is None else cache / _name(source, found, flags)
-    if kept is not None and _is_whole(kept) and (known := _loaded(kept, names)) is not None:
-        return known
+    cache, name = _cache(), _name(source, found, flags)
+    for place in _places():
+        if _is_whole(place / name) and (known := _loaded(place / name, names)) is not None:
+            return known
+    kept = None if cache is None else cache / name
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder) / "steps.c", Path(folder) / "steps.so"
         code.write_text(source)
@@ -98,16 +136,13 @@ def noted(about: Sequence[str], names: tuple[str, ...]) -> tuple[ctypes.CDLL, li
 
     Neither its source nor a compiler is needed.
     """
-    cache = _cache()
-    if cache is None:
-        return None
-    try:
-        told = json.loads((cache / f"{_key(*about)}.json").read_text(encoding="utf-8"))
-        kept, constants = cache / Path(told["library"]).name, [float(c) for c in told["constants"]]
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-    known = _loaded(kept, names) if _is_whole(kept) else None
-    return None if known is None else (known, constants)
+    for place in _places():
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            told = json.loads((place / f"{_key(*about)}.json").read_text(encoding="utf-8"))
+            kept, constants = place / Path(told["library"]).name, [float(c) for c in told["constants"]]
+            if _is_whole(kept) and (known := _loaded(kept, names)) is not None:
+                return known, constants
+    return None
 
 
 def _loaded(path: Path, names: Sequence[str]) -> ctypes.CDLL | None:
@@ -131,21 +166,36 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+def _places() -> list[Path]:
+    """Folders in which libraries may be found: the user's cache first."""
+    cache = _cache()
+    return [*([] if cache is None else [cache]), *([AHEAD] if cache != AHEAD and _trusted(AHEAD) else [])]
+
+
+def _trusted(folder: Path) -> bool:
+    """Whether a folder is the user's own or root's, and nobody else may write there: what lies in it is run."""
+    try:
+        about = folder.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(about.st_mode) and about.st_uid in (0, os.geteuid()) and not about.st_mode & 0o022
+
+
 def _cache() -> Path | None:
     """Folder of libraries in the user's cache, made where it is not there; None where no trusted one can be.
 
-    What lies in it is run, so that it must be the user's own and no other may write there. A relative XDG_CACHE_HOME
-    counts as none, as its specification demands.
+    A relative XDG_CACHE_HOME counts as none, as its specification demands.
     """
+    if (ahead := _KEPT_IN.get()) is not None:
+        return ahead
     given = os.environ.get("XDG_CACHE_HOME", "")
     try:
         folder = (Path(given) if Path(given).is_absolute() else Path.home() / ".cache") / "hybrid_id"
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        about = folder.lstat()
+        own = folder.lstat().st_uid == os.geteuid()
     except (OSError, RuntimeError, ValueError):  # a user without a home, a file in the way
         return None
-    own = stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid() and not about.st_mode & 0o022
-    return folder if own and folder.is_absolute() else None
+    return folder if own and _trusted(folder) and folder.is_absolute() else None
 
 
 @functools.cache

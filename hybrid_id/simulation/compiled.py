@@ -186,6 +186,13 @@ def _made(about: str, name: str, write: Callable[[], tuple[str, list[float]]]) -
     return found
 
 
+def forget() -> None:
+    """Let every library be looked for again."""
+    _EQUATIONS.clear()
+    for once in (_engine, compiler_works):
+        once.cache_clear()
+
+
 def _sources(*names: str) -> str:
     folder = resources.files("hybrid_id.simulation")
     return "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)

@@ -12,6 +12,7 @@ from PIL import Image
 from hybrid_id import __version__
 from hybrid_id.cli import doctor as module
 from hybrid_id.cli.app import COMMANDS
+from hybrid_id.systems import one_link
 
 
 def test_doctor_tells_the_machine_and_passes_its_self_test(run) -> None:
@@ -30,6 +31,16 @@ def test_doctor_fails_aloud(run, monkeypatch: pytest.MonkeyPatch) -> None:
     done = run("doctor")
     assert done.code == 1
     assert "self-test FAILED (J off)" in done.out
+
+
+def test_doctor_compiles_ahead(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("hybrid_id.simulation.c_code.AHEAD", tmp_path / "share/hybrid_id")
+    monkeypatch.setattr("hybrid_id.study.ahead.shipped", lambda: [one_link()])
+    monkeypatch.setattr("hybrid_id.study.self_test.self_test", lambda: {"passed": True, "error": "not run"})
+    done = run("doctor", "--ahead")
+    assert done.code == 0 and "compiled ahead: 1 system" in done.err
+    kept = list((tmp_path / "share/hybrid_id").glob("*.so"))
+    assert len(kept) >= 3  # the engine, a rollout and a fit; another test may have loaded what condenses
 
 
 def test_doctor_says_what_kept_the_self_test_from_its_end(run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.c_code import library
+from hybrid_id.simulation.c_code import kept_ahead, library
 
 SOURCE = "double twice(double x) { return 2.0 * x; }\n"
 NAMES = ("twice",)
@@ -23,6 +23,7 @@ def twice(code: ctypes.CDLL) -> float:
 @pytest.fixture
 def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("hybrid_id.simulation.c_code.AHEAD", tmp_path / "environment/share/hybrid_id")
     library.cache_clear()
     return tmp_path / "hybrid_id"
 
@@ -145,3 +146,30 @@ def test_a_user_without_a_home_has_no_shelf(shelf: Path, monkeypatch: pytest.Mon
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", homeless)
     assert twice(library(SOURCE, NAMES)) == 3.0
+
+
+def test_what_was_compiled_ahead_is_found_by_who_has_no_cache(
+    shelf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with kept_ahead() as folder:
+        assert twice(library(SOURCE, NAMES)) == 3.0
+    assert sorted(path.suffix for path in folder.iterdir()) == [".sha256", ".so"] and not shelf.exists()
+    monkeypatch.setattr("subprocess.run", lambda *_, **__: pytest.fail("compiled again"))
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert not list(shelf.iterdir())
+
+
+def test_where_others_may_write_nothing_is_taken_from_nor_kept(shelf: Path) -> None:
+    with kept_ahead() as folder:
+        library(SOURCE, NAMES)
+    folder.chmod(0o777)
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert list(shelf.glob("*.so"))  # compiled anew
+    with pytest.raises(InputError, match="others"), kept_ahead():
+        pass
+
+
+def test_a_file_in_the_place_of_the_environments_folder_is_said(shelf: Path, tmp_path: Path) -> None:
+    (tmp_path / "environment").write_text("")
+    with pytest.raises(InputError, match="Nothing can be kept"), kept_ahead():
+        pass

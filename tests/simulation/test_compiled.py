@@ -338,6 +338,7 @@ def test_a_compiler_that_makes_nothing_is_none(monkeypatch: pytest.MonkeyPatch, 
     with monkeypatch.context() as patched:
         patched.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
         patched.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
+        patched.setattr("hybrid_id.simulation.c_code.AHEAD", tmp_path / "none")
         patched.setattr("hybrid_id.simulation.compiled.library", library.__wrapped__)
         assert compiled_for(rigid_drive(), Engine()) == Engine()
     compiled_engine.compiler_works.cache_clear()
@@ -352,6 +353,7 @@ def test_a_later_run_neither_records_nor_compiles(
     batch, theta = moved(system)
     rollout(system, Engine(compiled=True), batch, theta)  # compiles the engine, if nothing has
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("hybrid_id.simulation.c_code.AHEAD", tmp_path / "none")
 
     def run() -> Tensor:
         monkeypatch.setattr(compiled_engine, "_EQUATIONS", {})
