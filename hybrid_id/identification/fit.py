@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hybrid_id.components.base import Component
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import (
     Bounds,
@@ -325,6 +326,13 @@ def kept_fit(
     )
 
 
+def _ranged(system: System, i: int) -> bool:
+    """Whether a parameter has been given bounds that are not those of its law, which hold for any machine."""
+    info = system.table[i]
+    law = cast(Component, system.components[info.component]).declared[info.symbol]
+    return (info.spec.lower, info.spec.upper) != (law.lower, law.upper)
+
+
 def make_bounds(system: System, free: Sequence[int], device: torch.device | str = "cpu") -> Bounds:
     """Box, priors and scales of the free parameters."""
     specs = [system.table[i].spec for i in free]
@@ -332,10 +340,17 @@ def make_bounds(system: System, free: Sequence[int], device: torch.device | str 
     def column(values: Sequence[float]) -> Tensor:
         return torch.tensor(list(values), dtype=torch.float64, device=device)
 
-    # a parameter that starts at zero moves in steps of its range, where it has one, else as the records say
+    # a parameter that starts at zero moves in steps of its range, where it has one, else as the records say; and one of
+    # either sign in a range of its own, for how near to zero it starts is no measure of it
     widths = [spec.upper - spec.lower for spec in specs]
     ranges = [0.05 * width if math.isfinite(width) and width < 1e5 else 0.0 for width in widths]
-    scale = [abs(spec.value) or reach or 1e-3 for spec, reach in zip(specs, ranges, strict=True)]
+    signed = [
+        spec.lower < 0.0 < spec.upper and _ranged(system, i) for i, spec in zip(free, specs, strict=True)
+    ]
+    scale = [
+        max(abs(spec.value), reach * either) or reach or 1e-3
+        for spec, reach, either in zip(specs, ranges, signed, strict=True)
+    ]
     sized = [float(spec.value != 0.0 or reach > 0.0) for spec, reach in zip(specs, ranges, strict=True)]
     return Bounds(
         column([s.lower for s in specs]),

@@ -10,9 +10,11 @@ import pytest
 import torch
 import yaml
 from drives import make_record, make_records, multisine, only, rigid_drive
+from gapcase import small_case
 from scipy.optimize import least_squares
 
 from hybrid_id.components import Backlash, Stribeck
+from hybrid_id.components.load.spring import Spring
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit, fit_records, start_points
 from hybrid_id.identification.least_squares import Options
@@ -25,6 +27,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
+from hybrid_id.study.replays import batch_of
 from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
 
@@ -120,6 +123,16 @@ def test_several_starts_keep_the_best(batch: Batch, monkeypatch: pytest.MonkeyPa
     for a, b in zip(per_record, single, strict=True):
         assert a.records == b.records and a.cost <= b.cost * (1 + 1e-6)
         np.testing.assert_allclose(a.values, b.values, rtol=1e-3)
+
+
+@pytest.mark.parametrize("start", [0.3, 1e-2, -1e-4])
+def test_how_near_to_zero_an_angle_starts_is_no_measure_of_its_steps(start: float) -> None:
+    dataset, nominal = small_case(Spring(k_s=0.4, q_s=0.6), "joint1/load")
+    begun = Spring(k_s=0.2, q_s=Bounded(start, -4.0, 4.0, "rad"))
+    system = nominal.with_component("joint1/load", begun)
+    (found,) = fit(system, batch_of(dataset, system, dataset.train, 0.0, "cpu"), pooled=True, warm=False)
+    assert found.noise_scale < 1.05
+    assert found.values[found.names.index("q_s")] == pytest.approx(0.6, abs=0.002)
 
 
 def test_start_points_stay_inside_and_begin_with_the_given_one() -> None:
