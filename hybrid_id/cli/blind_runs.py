@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""
-TIES_RESOLVED = 0.7
+TIES_RESOLVED = 0.8
 """Share of ties that the next experiment is to resolve."""
 ONE_LAW = {"constant_torque", "asymmetric_friction"}
 """Dry friction whose levels differ by direction is a torque beside an even one: no record distinguishes these."""
@@ -262,13 +262,12 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     tied = tied_cases(runs / "diagnose")
     sheets = open_answers(answers, about["cases"]["answers"]["sha256"])
     read_cases(cases, about["cases"], list(tied))
-    among = about["train_records"]  # follow-up records come before them, and displace none
-    most = max(map(len, tied.values()), default=0)
-    folder, settings = runs / TIES, Settings("diagnose", among and among + most)
+    among = about["train_records"]
+    folder, settings = runs / TIES, Settings("diagnose")
     folder.mkdir(exist_ok=True)
     with whole_pool():
         richer: Any = Parallel(n_jobs=jobs)(
-            delayed(extended)(cases / name, experiments, sheets[name], about["cases"]["options"])
+            delayed(extended)(cases / name, experiments, sheets[name], about["cases"]["options"], among)
             for name, experiments in tied.items()
         )
     with sole_writer(folder):
@@ -299,8 +298,8 @@ def resolved(
 ) -> dict[str, Any]:
     """Share of ties that the follow-up records resolve, and of cases in which they show just what was at work.
 
-    A tie is resolved where no two of its effects are indistinguishable any more, and something is said: effects, or
-    that something outside the catalogue is at work.
+    A tie is resolved where none of its effects that is named is indistinguishable from another any more, and something
+    is said: effects, or that something outside the catalogue is at work.
 
     Args:
         before: each case's ties.
@@ -330,10 +329,15 @@ def resolved(
 
 
 def still_tied(tie: Sequence[str], left: Sequence[str], same: Sequence[Set[str]]) -> bool:
-    """Whether two effects of a tie, ``name@where``, stand in another one, and are not two names of one thing."""
-    both = set(tie) & set(left)
-    one_law = {name.partition("@")[0] for name in both} <= ONE_LAW
-    return len(both) > 1 and not one_law and not any(both <= right for right in same)
+    """Whether an effect of a tie, ``name@where``, leads another one: with what is no other name of the same thing."""
+
+    def one_thing(a: str, b: str) -> bool:
+        (name, place), (other, there) = a.split("@"), b.split("@")
+        alike = {name, other} == ONE_LAW and place.partition("/")[0] == there.partition("/")[0]
+        return alike or any({a, b} <= right for right in same)
+
+    first, *others = left
+    return first in tie and not all(one_thing(first, other) for other in others)
 
 
 def extended(
@@ -341,17 +345,18 @@ def extended(
     experiments: Sequence[Mapping[str, Any]],
     sheet: Mapping[str, Any],
     options: Mapping[str, Any],
+    among: int | None = None,
 ) -> "Case | None":
-    """A case with one more record of each experiment; None where one makes an arm run away.
+    """A case, or ``among`` of its train records, with one more of each experiment; None where an arm runs away.
 
     See :func:`hybrid_id.machines.further.further_records`.
     """
-    from hybrid_id.baselines.run import read_case
+    from hybrid_id.baselines.run import read_case, with_train_records
     from hybrid_id.machines.arms.motion import Unstable
     from hybrid_id.machines.further import further_records
     from hybrid_id.records.dataset import Dataset
 
-    dataset = Dataset.load(folder)
+    dataset = with_train_records(Dataset.load(folder), among)
     try:
         records = further_records(folder.name, experiments, sheet, options)
     except Unstable:

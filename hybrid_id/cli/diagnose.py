@@ -344,10 +344,14 @@ def write_parts(
 
         from hybrid_id.systems.by_joint import as_in_robot
 
-        tables = [
-            DataFrame({"record": k, "t": one.time, **as_in_robot(one.inputs, diagnosis.model)})
-            for k, one in enumerate(diagnosis.experiments, 1)
-        ]
+        tables = []
+        for k, one in enumerate(diagnosis.experiments, 1):
+            # what the joint's own controller is to find is nothing to play
+            given = {
+                n: v for n, v in one.inputs.items() if not (one.by_controller and n == f"tau{one.joint}")
+            }
+            columns = as_in_robot(given, diagnosis.model)
+            tables.append(DataFrame({"t": one.time, "record": k, "name": one.name, **columns}))
         concat(tables).to_csv(folder / NEXT, index=False, float_format="%.6g")
     return write_report(
         folder,

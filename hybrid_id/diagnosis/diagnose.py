@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,7 @@ from hybrid_id.diagnosis.grade import (
 )
 from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
-from hybrid_id.diagnosis.next_experiment import next_experiment
+from hybrid_id.diagnosis.next_experiment import Experiment, next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable
 from hybrid_id.diagnosis.result import Diagnosis
@@ -600,6 +601,18 @@ def _changes(answer: Answer, system: System) -> str:
     return change.words if answer.verdict == "parameters_only" or "load" in several else ""
 
 
+def _experiments(dataset: Dataset, found: Selection, fits: Fits) -> tuple[Experiment, ...]:
+    """What to record next; nothing where a model cannot be simulated so: a proposal must not cost the answer."""
+    horizon = fits.horizon if found.near is None else found.near.horizon
+    fine, coarse = dataset.sample_time, fits.dataset.sample_time
+    thinned = coarse / fine if fine and coarse else 1.0
+    with suppress(RuntimeError, InputError, np.linalg.LinAlgError):
+        tied = tied_models(found)
+        share = fits.signal_share
+        return tuple(next_experiment(dataset, tied, horizon, signal_share=share, thinned=thinned))
+    return ()
+
+
 def report(
     dataset: Dataset,
     system: System,
@@ -637,7 +650,7 @@ def report(
         location=answer.before,
         residual_after=answer.after,
         implausible=tuple(implausible_parameters(system, found.base.system, identified)),
-        experiments=tuple(next_experiment(dataset, tied_models(found), fits.horizon)),
+        experiments=_experiments(dataset, found, fits),
         rejected=answer.rejected,
         varying=answer.varying,
         not_identifiable=not_identifiable(dataset, found.chosen.system),

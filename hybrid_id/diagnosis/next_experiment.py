@@ -19,7 +19,6 @@ import torch
 
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.records.dataset import Dataset
@@ -27,7 +26,7 @@ from hybrid_id.records.measures import DRIVES, estimate_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.systems.arm import MOTION
@@ -43,6 +42,8 @@ REST = 0.1
 RECORDS = 8
 """Records that are proposed at most. Where structure remains records are the witnesses: beside N that say nothing, k
 that agree reach Student's t of ``sqrt((N + k) k / N)``, and with four beside four that is no distinction yet."""
+STROKE = 1.0
+"""Length [s] of the windows that stand for strokes."""
 BEYOND = 0.5
 """How far a robot's joint may go beyond where the records have been, over their range."""
 LOOP, DAMPING = 3.0, 0.7
@@ -68,10 +69,10 @@ class Experiment:
         channel: that of the command that moves; ``goal`` of a robot's joint that its records command in torque, which
             its own controller shall follow.
         start: outputs at which it begins, at rest.
-        distance: RMS difference of the outputs of two such models, both fitted to this record and those proposed
-            before it, over the errors that they leave on the records at hand (the encoders' noise at least): of those
-            pairs that the proposed records distinguish the smallest, or the largest where they distinguish none.
-        distance_now: the largest distance of these pairs on the records at hand.
+        distance: RMS difference of the outputs of two such models in this record and those proposed before it, both
+            fitted anew to all records, over the errors that they leave on the records at hand (the encoders' noise at
+            least): of those pairs that these records distinguish the smallest, or the largest where they distinguish
+            none.
         together: pairs of effects, ``name@where``, that they do not distinguish.
     """
 
@@ -83,7 +84,6 @@ class Experiment:
     channel: str
     start: Mapping[str, float]
     distance: float = 0.0
-    distance_now: float = 0.0
     together: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -124,7 +124,12 @@ def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
 
 
 def next_experiment(
-    dataset: Dataset, tied: Sequence[Sequence[FittedModel]], horizon: Horizon = WHOLE
+    dataset: Dataset,
+    tied: Sequence[Sequence[FittedModel]],
+    horizon: Horizon = WHOLE,
+    *,
+    signal_share: float = SIGNAL_SHARE,
+    thinned: float = 1.0,
 ) -> list[Experiment]:
     """Records that together distinguish models, each the one that adds most to those before it; empty without a tie.
 
@@ -134,8 +139,12 @@ def next_experiment(
     Args:
         dataset: its channels, amplitudes, noise and sample time.
         tied: groups of fitted models that explain the records alike.
-        horizon: how long free runs of their fits are.
+        horizon: how long free runs of their fits are; strokes, which depend on the model, count as windows.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        thinned: sample time of the records that they were fitted to, over that of the dataset.
     """
+    if horizon.kind == "strokes":
+        horizon = Horizon("windows", STROKE)
     models = [one for group in tied for one in group]
     if not models:
         return []
@@ -148,11 +157,13 @@ def next_experiment(
             usable, logged = _simulated(dataset, models, here, noise)
             if usable:
                 offers += usable
-                every.append(_differences(models, pairs, logged, noise, horizon))
+                every.append(_differences(models, pairs, logged, noise, horizon, signal_share))
     if not offers:
         return []
     names = [name for group in tied for name in _names(group)]
-    return _chosen(offers, {p: _joined([one[p] for one in every]) for p in every[0]}, pairs, models, names)
+    return _chosen(
+        offers, {p: _joined([one[p] for one in every]) for p in every[0]}, pairs, models, names, thinned
+    )
 
 
 # ---- what is offered ----
@@ -160,14 +171,21 @@ def next_experiment(
 
 @dataclass(frozen=True)
 class _Loop:
-    """The position loop by which a robot's joint is thought to be moved: torque [N m] of the error and the speed."""
+    """The position loop by which a robot's joint is thought to be moved, its torque [N m] at the joint."""
 
     k_p: float
     k_d: float
     most: float
 
-    def torque(self, goal: np.ndarray, angle: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        return np.clip(self.k_p * (goal - angle) - self.k_d * speed, -self.most, self.most)
+    def torque(
+        self, system: System, number: int, x: torch.Tensor, experiments: Sequence[Experiment]
+    ) -> np.ndarray:
+        """What the motor is told on the way ``x`` (R, T, n_x), ``(R, T)``: the joint's torque over the gear's ratio."""
+        joint = system.joint(number)
+        angle, speed = joint.link_motion(list(x.unbind(-1)), system.views(list(system.theta().detach())))
+        goal = np.array([one.command for one in experiments])
+        torque = self.k_p * (goal - angle.numpy()) - self.k_d * speed.numpy()
+        return np.clip(torque, -self.most, self.most) / joint.gear_ratio
 
     def on(self, system: System, joint: Joint) -> System:
         servo = PositionServo(k_p=self.k_p, k_d=self.k_d, tau_max=self.most)
@@ -208,6 +226,11 @@ def _offered(dataset: Dataset, systems: Sequence[System], joint: Joint) -> _Offe
         }
         inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {channel: command}
         start = {other: float(values[0]) for other, values in reference.outputs.items()}
+        if (
+            stem(channel) == "goal" and systems[0].tree is not None
+        ):  # to where its goals begin it is moved before
+            here = {f"q_a{joint.number}": centre, f"q_m{joint.number}": centre * joint.gear_ratio}
+            start |= {other: angle for other, angle in here.items() if other in start}
         found.append(Experiment(title, posture, joint.number, time, inputs, channel, start))
     return _Offer(joint, tuple(found), loop, logged)
 
@@ -223,7 +246,7 @@ def _loop(dataset: Dataset, system: System, joint: Joint, channel: str) -> _Loop
     )
     inertia = system.tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
     rate = 2.0 * np.pi * LOOP
-    most = max(float(np.abs(record.inputs[channel]).max()) for record in dataset.train)
+    most = joint.gear_ratio * max(float(np.abs(record.inputs[channel]).max()) for record in dataset.train)
     return _Loop(inertia * rate**2, 2.0 * DAMPING * inertia * rate, most)
 
 
@@ -246,14 +269,19 @@ def _simulated(
         ]
         batch = make_batch(system, commanded, outputs=list(noise), noise_std=noise)
         run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
-        angle, speed = (run.x[..., offer.joint.positions[-1] + k].numpy() for k in (0, 1))
+        tau = (
+            None
+            if offer.loop is None
+            else offer.loop.torque(system, offer.joint.number, run.x, offer.experiments)
+        )
         records = []
         for k, (one, record) in enumerate(zip(offer.experiments, commanded, strict=True)):
             seen = {name: run.y[k, :, column].numpy() for column, name in enumerate(noise)}
             able[k] &= _within_limits(dataset, models[0].system, seen)
             inputs = dict(one.inputs)
-            if offer.loop is not None:
-                inputs[offer.logged] = offer.loop.torque(inputs.pop(one.channel), angle[k], speed[k])
+            if tau is not None:
+                del inputs[one.channel]
+                inputs[offer.logged] = tau[k]
             records.append(replace(record, inputs=inputs, outputs=seen))
         logged.append(records)
     return (
@@ -277,14 +305,27 @@ class _Differences:
     hessian: np.ndarray
     count: np.ndarray
 
-    def after(self, rows: Sequence[int], known: np.ndarray) -> float:
-        """Mean square over some records once the parameters have moved, held by what is known of them (n_f, n_f)."""
+    def after(self, rows: Sequence[int], known: np.ndarray, *, outputs: bool = False) -> float:
+        """Mean square over some records once the parameters have moved, held by what is known of them (n_f, n_f).
+
+        With what that costs on the records at hand, which decides between the two models; or of the ``outputs`` alone.
+        """
         rows = list(rows)
-        gradient, hessian = self.gradient[rows].sum(0), self.hessian[rows].sum(0) + known
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-        step = np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-9)[0]
-        left = self.cost[rows].sum() - float(step @ (gradient / scale))
+        gradient, hessian = self.gradient[rows].sum(0), self.hessian[rows].sum(0)
+        scale = np.sqrt(np.maximum(np.diag(hessian + known), 1e-300))
+        matrix = (hessian + known) / np.outer(scale, scale)
+        step = np.linalg.lstsq(matrix, gradient / scale, rcond=1e-9)[0] / scale
+        left = self.cost[rows].sum() - float(step @ gradient)
+        if outputs:
+            left -= float(step @ known @ step)
         return max(float(left), 0.0) / float(self.count[rows].sum())
+
+    @property
+    def finite(self) -> np.ndarray:
+        """Whether a record's differences are, ``(R,)``."""
+        return (
+            np.isfinite(self.cost) & np.isfinite(self.gradient).all(1) & np.isfinite(self.hessian).all((1, 2))
+        )
 
 
 def _joined(parts: Sequence[_Differences]) -> _Differences:
@@ -298,23 +339,29 @@ def _differences(
     logged: Sequence[Sequence[Record]],
     noise: Mapping[str, float],
     horizon: Horizon,
+    signal_share: float,
 ) -> dict[Pair, _Differences]:
     """By pair (who moves, who follows): both over the same free runs from the states that the first one's show."""
     found = {}
     for a, (mover, records) in enumerate(zip(models, logged, strict=True)):
-        own = _pieces(mover, records, noise, horizon)
+        own = _pieces(mover, records, noise, horizon, signal_share)
         truth = simulate(mover.system, with_substeps(mover.system, mover.result.engine, own), own).y
         for b, other in enumerate(models):
             if (a, b) in pairs or (b, a) in pairs:
-                batch = replace(_pieces(other, records, noise, horizon), y=truth)
+                batch = replace(_pieces(other, records, noise, horizon, signal_share), y=truth)
                 found[a, b] = _left_by(other, batch, [one.name for one in records])
     return found
 
 
 def _pieces(
-    model: FittedModel, records: Sequence[Record], noise: Mapping[str, float], horizon: Horizon
+    model: FittedModel,
+    records: Sequence[Record],
+    noise: Mapping[str, float],
+    horizon: Horizon,
+    signal_share: float,
 ) -> Batch:
-    batch = make_batch(model.system, records, outputs=list(noise), noise_std=noise)
+    outputs = list(noise)
+    batch = make_batch(model.system, records, outputs=outputs, noise_std=noise, signal_share=signal_share)
     return horizon.cut(model.system, model.result.engine, batch)
 
 
@@ -354,15 +401,17 @@ def _chosen(
     pairs: Sequence[Pair],
     models: Sequence[FittedModel],
     names: Sequence[str],
+    thinned: float,
 ) -> list[Experiment]:
     """The records in the order in which they add most, each with what it and those before it distinguish."""
     leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
-    known = [_information(one) for one in models]
+    known = [thinned * _information(one) for one in models]
 
-    def distances(rows: Sequence[int]) -> np.ndarray:
+    def distances(rows: Sequence[int], *, outputs: bool = False) -> np.ndarray:
         """Of each pair, by the one of both that follows the other better."""
         squares = [
-            min(found[a, b].after(rows, known[b]), found[b, a].after(rows, known[a])) for a, b in pairs
+            min(found[one].after(rows, known[one[1]], outputs=outputs) for one in ((a, b), (b, a)))
+            for a, b in pairs
         ]
         return np.sqrt(np.array(squares) / leaves)
 
@@ -370,18 +419,17 @@ def _chosen(
         # a pair that is distinguished already adds little: the others' turn
         return float(np.log1p(len(rows) * np.square(distances(rows))).sum())
 
-    now = np.array([_apart_now(models[a], models[b]) for a, b in pairs]) / np.sqrt(leaves)
-    rows, result, apart = list[int](), list[Experiment](), np.zeros(len(pairs))
-    able = [k for k in range(len(offers)) if distances([k]).max() >= DISTINGUISHABLE]
-    able = able or list(range(len(offers)))  # a record that shows nothing by itself is no witness
+    rows, result = list[int](), list[Experiment]()
+    usable = np.flatnonzero(np.all([one.finite for one in found.values()], axis=0)).tolist()
+    able = [k for k in usable if distances([k], outputs=True).max() >= DISTINGUISHABLE]
+    able = able or usable  # a record that shows nothing by itself is no witness
     while len(rows) < min(RECORDS, len(able)):
         rows.append(max((k for k in able if k not in rows), key=lambda k: worth([*rows, k])))
-        apart = np.maximum(apart, distances(rows))  # a further record takes nothing back
+        apart = distances(rows, outputs=True)
         clear = apart >= DISTINGUISHABLE
         shown = clear if clear.any() else apart == apart.max()
         alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
-        shows = {"distance": float(apart[shown].min()), "distance_now": float(now[shown].max())}
-        result.append(replace(offers[rows[-1]], together=alike, **shows))
+        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), together=alike))
     return result
 
 
@@ -389,12 +437,6 @@ def _information(model: FittedModel) -> np.ndarray:
     """What the records at hand say of a model's parameters, its priors with it, ``(n_f, n_f)``."""
     parts = [part.reshape(-1, part.shape[-1]) for part in model.result.jacobian]
     return sum((part.T @ part for part in parts), np.diag(model.result.prior_precision))
-
-
-def _apart_now(one: FittedModel, other: FittedModel) -> float:
-    """RMS difference of what two models leave of the same records."""
-    rows = zip(one.result.residual, other.result.residual, strict=True)
-    return float(np.sqrt(mean_square([a - b for a, b in rows])))
 
 
 def _noise(dataset: Dataset) -> dict[str, float]:

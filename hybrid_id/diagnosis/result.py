@@ -271,8 +271,6 @@ class Diagnosis:
                     "posture": e.posture,
                     "joint": e.joint,
                     "distance": e.distance,
-                    "distance_in_records": e.distance_now,
-                    "distance_today": e.distance_now,
                     "confounded": [[self._named(name) for name in pair] for pair in e.together],
                 }
                 for e in self.experiments

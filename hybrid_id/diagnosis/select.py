@@ -30,6 +30,7 @@ from hybrid_id.diagnosis.screen import (
 )
 from hybrid_id.diagnosis.starts import swapped, without
 from hybrid_id.diagnosis.validation import mean_square, p_values
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.systems.chain import System
 
 MAX_EFFECTS = 3
@@ -49,6 +50,7 @@ class Selection:
         interrupted: whether the search was stopped before its end.
         own: each record's own values of the nominal model, where they explain all that any effect does, and more.
         near: the search over short runs that this one, over whole records, has gone on from.
+        horizon: how long free runs of its fits are.
         refuted: effects that were accepted and take nothing of what each record's own values leave.
     """
 
@@ -59,6 +61,7 @@ class Selection:
     own: PerRecord | None = None
     near: Selection | None = None
     refuted: tuple[Name, ...] = ()
+    horizon: Horizon = WHOLE
 
     @property
     def compared(self) -> tuple[SelectionStep, ...]:
@@ -126,7 +129,7 @@ def select(
             model = _necessary(fits, base, model, steps)
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
-    return Selection(base if model.effects else model, tuple(steps), model)
+    return Selection(base if model.effects else model, tuple(steps), model, horizon=fits.horizon)
 
 
 def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: FittedModel) -> FittedModel:

@@ -208,16 +208,17 @@ def _hits(chosen: Sequence[Said], truth: Sequence[Truth]) -> int:
 def _claims(ranked: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float, bool], ...]:
     """Probability of each ranked effect, and whether it was at work.
 
-    Each true effect serves its most probable name. Another name that the answers accept for it is neither right nor
-    wrong: of two names of one thing one alone can be probable.
+    Each true effect serves its most probable name, and what is named. Another name that the answers accept for it is
+    neither right nor wrong: of two names of one thing one alone can be probable.
     """
-    found, served = [], set[int]()
-    for one in sorted(ranked, key=lambda e: -float(e["probability"])):
-        of = {k for k, t in enumerate(truth) if _right(one, t)}
-        if not of or of - served:
-            found.append((float(one["probability"]), bool(of)))
-            served |= set(sorted(of - served)[:1])
-    return tuple(found)
+    likely = np.array([[float(one["probability"]) * _right(one, t) for t in truth] for one in ranked])
+    rows, columns = linear_sum_assignment(likely.reshape(len(ranked), len(truth)), maximize=True)
+    serves = {row for row, column in zip(rows, columns, strict=True) if _right(ranked[row], truth[column])}
+    return tuple(
+        (float(one["probability"]), any(_right(one, t) for t in truth))
+        for k, one in enumerate(ranked)
+        if k in serves or one["selected"] or not any(_right(one, t) for t in truth)
+    )
 
 
 def _in_a_word(leading: Sequence[Truth], chosen: Sequence[Said], unknown: bool) -> str:

@@ -323,13 +323,13 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
         if not diagnosis.ties or diagnosis.model.tree is None:
             return []
         return [
-            "next experiment: none is proposed, for by every simulated command the joint would leave the range of "
-            "these records by more than half of it; change the load, or how the joint stands."
+            "next experiment: none is proposed, for by every simulated command the joint would run away, or leave the "
+            "range of these records by more than half of it; change the load, or how the joint stands."
         ]
     *_, best = diagnosis.experiments  # with all before it
     if not best.distinguishes:
         return [
-            "next experiment: no simulated commands make the outputs of these models, fitted anew, differ by more than "
+            "next experiment: after no simulated commands would these models, fitted anew, differ by more than "
             f"{best.distance:.2g} times the errors that they leave (RMS); change the load, or how the joint stands."
         ]
     how = " by goals for its own controller" if best.by_controller else ""
@@ -344,11 +344,11 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
         for joint, names in at.items()
     )
     if best.posture:
-        records += "; in brackets where the other joints rest in what they have reached"
+        records += "; in brackets where the other joints are held in the range that they have moved through"
     words = (
         f"next experiment, {count(len(diagnosis.experiments), 'record')} of {best.time[-1]:.0f} s at {records}. "
-        f"The outputs of these models, fitted anew, would differ by {best.distance:.2g} times the errors that they "
-        f"leave (RMS; {best.distance_now:.2g} in the records at hand)."
+        f"Even fitted anew to them, these models would differ by {best.distance:.2g} times the errors that they leave "
+        "(RMS)."
     )
     alike = "; ".join(
         " and ".join(_at(*_member(name), diagnosis.model) for name in pair) for pair in best.together

@@ -47,7 +47,9 @@ def kept_ahead() -> Iterator[Path]:
         InputError: nobody but its owner may write there.
     """
     try:
-        AHEAD.mkdir(parents=True, exist_ok=True, mode=0o755)
+        if not AHEAD.exists():
+            AHEAD.mkdir(parents=True)
+            AHEAD.chmod(0o755)  # others read, whatever the umask
     except OSError as error:
         raise InputError(
             f"Nothing can be kept in {AHEAD} ({error.strerror}); give its owner's rights."
@@ -208,7 +210,7 @@ def _machine() -> str:
     features = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
     system = os.uname()  # platform.platform() starts another program, which takes longer than all else here
     libc = os.confstr("CS_GNU_LIBC_VERSION") if "CS_GNU_LIBC_VERSION" in os.confstr_names else ""
-    return f"{system.sysname} {system.release} {system.machine} {libc} {features or system.nodename}"
+    return f"{system.sysname} {system.machine} {libc} {features or system.nodename}"
 
 
 def _name(source: str, compiler: str, flags: Sequence[str]) -> str:

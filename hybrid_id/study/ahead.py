@@ -7,10 +7,11 @@ from itertools import product
 import numpy as np
 
 from hybrid_id.components import AsymmetricStribeck, Stribeck
+from hybrid_id.errors import InputError
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.c_code import kept_ahead
-from hybrid_id.simulation.compiled import compiled_for, forget
+from hybrid_id.simulation.compiled import compiled_for, compiler_works, forget
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -38,6 +39,8 @@ def compile_ahead() -> int:
         InputError: there is no compiler, or nothing can be kept in the environment.
     """
     systems = shipped()
+    if not compiler_works():
+        raise InputError("No C compiler works here; install gcc, or leave --ahead out.")
     with kept_ahead():
         forget()
         for system, friction in product(systems, ("dry", "smooth")):

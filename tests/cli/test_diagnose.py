@@ -108,7 +108,7 @@ def test_the_next_experiment_is_ready_to_be_played(
     said = run("diagnose", plain, "--out", tmp_path / "gap")
     assert said.code == 0 and "next_experiment.csv" in said.out
     table = pd.read_csv(tmp_path / "gap" / "next_experiment.csv")
-    assert list(table) == ["record", "t", *dataset.train[0].inputs]
+    assert list(table) == ["t", "record", "name", *dataset.train[0].inputs]
     for k, one in enumerate(proposed, 1):
         np.testing.assert_allclose(table["u1"][table["record"] == k], one.command, rtol=1e-5)
         assert np.ptp(one.command) > 0.0
