@@ -131,7 +131,7 @@ def proposed(found: Diagnosis) -> list[dict[str, Any]]:
     the outputs at its ``start``, by channel.
     """
     entries: list[dict[str, Any]] = found.as_dict()["next_experiments"]
-    for entry, one in zip(entries, found.experiments, strict=False):
+    for entry, one in zip(entries, found.proposed, strict=True):
         given = as_in_robot(one.inputs, found.model)
         entry |= {
             "sample_time": float(one.time[1] - one.time[0]),

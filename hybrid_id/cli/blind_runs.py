@@ -268,18 +268,18 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     with whole_pool():
         richer: Any = Parallel(n_jobs=jobs)(
             delayed(extended)(cases / name, experiments, sheets[name], about["cases"]["options"], among)
-            for name, experiments in tied.items()
+            for name, (_, experiments) in tied.items()
         )
     with sole_writer(folder):
         _diagnose([case for case in richer if case is not None], folder, settings, TIES, jobs, scheduler)
-    before = {name: (load(runs / "diagnose", name) or {})["ties"] for name in tied}
+    before = {name: ties for name, (ties, _) in tied.items()}
     found = resolved(before, {name: load(folder, name) for name in tied}, sheets) | {"commit": commit()}
     write_json(runs / f"{TIES}.json", found)
     return found
 
 
-def tied_cases(folder: Path) -> dict[str, list[Mapping[str, Any]]]:
-    """The proposed experiments of each case with a tie, of a run of the diagnosis; one, or one of each such joint."""
+def tied_cases(folder: Path) -> dict[str, tuple[list[list[str]], list[Mapping[str, Any]]]]:
+    """The ties of each case of a run of the diagnosis that has one, and the experiments that it proposes."""
     from hybrid_id.baselines.keep import load, read_run
 
     found, about = {}, read_run(folder)
@@ -289,7 +289,7 @@ def tied_cases(folder: Path) -> dict[str, list[Mapping[str, Any]]]:
         with as_written(folder / name, "run the case again"):
             proposed = [one for one in said.get("next_experiments", ()) if "command" in one]
         if current and said.get("ties") and proposed:
-            found[name] = proposed
+            found[name] = said["ties"], proposed
     return found
 
 

@@ -339,18 +339,14 @@ def write_parts(
 
     save_model(diagnosis.model, folder / "model.yaml", home)
     save_model(diagnosis.search.base.system, folder / "refit.yaml", home)
-    if diagnosis.experiments and diagnosis.experiments[-1].distinguishes:
+    if diagnosis.proposed:
         from pandas import DataFrame, concat
 
         from hybrid_id.systems.by_joint import as_in_robot
 
         tables = []
-        for k, one in enumerate(diagnosis.experiments, 1):
-            # what the joint's own controller is to find is nothing to play
-            given = {
-                n: v for n, v in one.inputs.items() if not (one.by_controller and n == f"tau{one.joint}")
-            }
-            columns = as_in_robot(given, diagnosis.model)
+        for k, one in enumerate(diagnosis.proposed, 1):
+            columns = as_in_robot(one.inputs, diagnosis.model)
             tables.append(DataFrame({"t": one.time, "record": k, "name": one.name, **columns}))
         concat(tables).to_csv(folder / NEXT, index=False, float_format="%.6g")
     return write_report(

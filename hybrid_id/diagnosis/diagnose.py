@@ -607,9 +607,11 @@ def _experiments(dataset: Dataset, found: Selection, fits: Fits) -> tuple[Experi
     fine, coarse = dataset.sample_time, fits.dataset.sample_time
     thinned = coarse / fine if fine and coarse else 1.0
     with suppress(RuntimeError, InputError, np.linalg.LinAlgError):
-        tied = tied_models(found)
-        share = fits.signal_share
-        return tuple(next_experiment(dataset, tied, horizon, signal_share=share, thinned=thinned))
+        return tuple(
+            next_experiment(
+                dataset, tied_models(found), horizon, signal_share=fits.signal_share, thinned=thinned
+            )
+        )
     return ()
 
 

@@ -328,6 +328,19 @@ def _interval(draws: np.ndarray) -> Interval:
     return float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))
 
 
+def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel, float]]:
+    """By effect that was tried the step which says how probable it is, its model there, and that probability."""
+    said: dict[Name, tuple[SelectionStep, FittedModel, float]] = {}
+    for step in found.compared:
+        if step.best is None:
+            continue
+        for model, probability in zip(step.candidates, _probabilities(step), strict=True):
+            name = added_effect(model, step.before)
+            if name not in said or step.swap or probability > said[name][2]:
+                said[name] = step, model, float(probability)
+    return said
+
+
 def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     """Every effect that was tried, with the probability that the last step which compared it gives.
 
@@ -335,17 +348,11 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     """
     chosen = set(found.chosen.effects)
     best: dict[Name, RatedEffect] = {}
-    for step in found.compared:
-        if step.best is None:
-            continue
-        for model, probability in zip(step.candidates, _probabilities(step), strict=True):
-            name = added_effect(model, step.before)
-            one = RatedEffect(
-                name[0], name[1], float(probability), name in chosen, _ties(model, step, name),
-                _parameters(found.chosen if name in chosen else model, name),
-            )  # fmt: skip
-            if name not in best or step.swap or one.probability > best[name].probability:
-                best[name] = one
+    for name, (step, model, probability) in _last_words(found).items():
+        best[name] = RatedEffect(
+            name[0], name[1], probability, name in chosen, _ties(model, step, name),
+            _parameters(found.chosen if name in chosen else model, name),
+        )  # fmt: skip
     # what the selected ones have made needless is no more probable than that these are wrong
     least = min((c.probability for c in best.values() if c.selected), default=0.0)
     untrue = best.keys() if found.own is not None else found.refuted
@@ -463,17 +470,11 @@ def _ties(model: FittedModel, step: SelectionStep, name: Name) -> tuple[str, ...
 
 def tied_models(found: Selection) -> list[list[FittedModel]]:
     """For each selected effect that has rivals the models of the step which rates it, its own and those that tie."""
-    rated: dict[Name, tuple[float, list[FittedModel]]] = {}
-    for step in found.compared:
-        for model, probability in zip(
-            step.candidates, _probabilities(step) if step.best else (), strict=False
-        ):
-            name = added_effect(model, step.before)
-            if name in found.chosen.effects and (
-                name not in rated or step.swap or probability > rated[name][0]
-            ):
-                rated[name] = probability, indistinguishable(model, step)
-    return [equals for _, equals in rated.values() if len(equals) > 1]
+    words = _last_words(found)
+    groups = [
+        indistinguishable(model, step) for n, (step, model, _) in words.items() if n in found.chosen.effects
+    ]
+    return [equals for equals in groups if len(equals) > 1]
 
 
 def tied_step(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ import torch
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.least_squares import reduced
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import DRIVES, estimate_noise
@@ -74,6 +75,7 @@ class Experiment:
             least): of those pairs that these records distinguish the smallest, or the largest where they distinguish
             none.
         together: pairs of effects, ``name@where``, that they do not distinguish.
+        by_controller: whether the joint's own controller has to follow the goal, in place of the torque that is logged.
     """
 
     name: str
@@ -85,16 +87,12 @@ class Experiment:
     start: Mapping[str, float]
     distance: float = 0.0
     together: tuple[tuple[str, str], ...] = ()
+    by_controller: bool = False
 
     @property
     def command(self) -> np.ndarray:
         """Command of the moving joint, ``(T,)``."""
         return self.inputs[self.channel]
-
-    @property
-    def by_controller(self) -> bool:
-        """Whether the joint's own controller has to follow a goal that the records at hand do not hold."""
-        return self.channel == f"goal{self.joint}" and f"tau{self.joint}" in self.inputs
 
     @property
     def distinguishes(self) -> bool:
@@ -152,11 +150,11 @@ def next_experiment(
     pairs = [(a, b) for a, b in combinations(range(len(models)), 2) if groups[a] == groups[b]]
     noise, offers, every = _noise(dataset), list[Experiment](), list[dict[Pair, _Differences]]()
     for joint in models[0].system.joints:
-        here = _offered(dataset, [one.system for one in models], joint)
+        here = _offered(dataset, models[0].system, joint)
         if here is not None:
-            usable, logged = _simulated(dataset, models, here, noise)
-            if usable:
-                offers += usable
+            able, logged = _simulated(dataset, models, here, noise)
+            if able:
+                offers += able
                 every.append(_differences(models, pairs, logged, noise, horizon, signal_share))
     if not offers:
         return []
@@ -202,7 +200,7 @@ class _Offer:
     logged: str
 
 
-def _offered(dataset: Dataset, systems: Sequence[System], joint: Joint) -> _Offer | None:
+def _offered(dataset: Dataset, system: System, joint: Joint) -> _Offer | None:
     """Every command in every posture of the others; None for a joint that nothing commands."""
     reference = dataset.train[0]
     logged = next(
@@ -210,28 +208,31 @@ def _offered(dataset: Dataset, systems: Sequence[System], joint: Joint) -> _Offe
     )
     if logged is None:
         return None
-    loop = _loop(dataset, systems[0], joint, logged)
+    loop = _loop(dataset, system, joint, logged)
     channel = logged if loop is None else f"goal{joint.number}"
     time = np.arange(0.0, DURATION, reference.sample_time)
     centre, amplitude = _room(dataset, joint, channel)
+    start = {name: float(values[0]) for name, values in reference.outputs.items()}
+    if stem(channel) == "goal" and system.tree is not None:  # to where its goals begin it is moved before
+        here = {f"q_a{joint.number}": centre, f"q_m{joint.number}": centre * joint.gear_ratio}
+        start |= {name: angle for name, angle in here.items() if name in start}
+    # a supply, a loop's gain and a switch stay as they were; the other joints and their drives rest
+    rest = {
+        name: np.full_like(time, 0.0 if stem(name) in RESTING else float(np.median(values)))
+        for name, values in reference.inputs.items()
+        if name != logged
+    }
     found = []
-    for (title, signal), (posture, angles) in product(
-        signals(amplitude, 0.15 * amplitude).items(), _postures(dataset).items()
-    ):
+    for title, signal in signals(amplitude, 0.15 * amplitude).items():
         command = centre + np.where(time >= REST, signal(np.maximum(time - REST, 0.0)), 0.0)
-        # a supply, a loop's gain and a switch stay as they were; the other joints and their drives rest
-        inputs = {
-            other: np.full_like(time, 0.0 if stem(other) in RESTING else float(np.median(values)))
-            for other, values in reference.inputs.items()
-        }
-        inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {channel: command}
-        start = {other: float(values[0]) for other, values in reference.outputs.items()}
-        if (
-            stem(channel) == "goal" and systems[0].tree is not None
-        ):  # to where its goals begin it is moved before
-            here = {f"q_a{joint.number}": centre, f"q_m{joint.number}": centre * joint.gear_ratio}
-            start |= {other: angle for other, angle in here.items() if other in start}
-        found.append(Experiment(title, posture, joint.number, time, inputs, channel, start))
+        for posture, angles in _postures(dataset).items():
+            held = {name: np.full_like(time, angle) for name, angle in angles.items()}
+            inputs = rest | held | {channel: command}
+            found.append(
+                Experiment(
+                    title, posture, joint.number, time, inputs, channel, start, by_controller=loop is not None
+                )
+            )
     return _Offer(joint, tuple(found), loop, logged)
 
 
@@ -257,37 +258,30 @@ def _simulated(
     dataset: Dataset, models: Sequence[FittedModel], offer: _Offer, noise: Mapping[str, float]
 ) -> tuple[list[Experiment], list[list[Record]]]:
     """The experiments that no model leaves its range in, and by model their records, as they would be logged."""
-    able, logged = np.ones(len(offer.experiments), bool), []
+    commanded = [
+        Record(str(k), one.time, one.inputs, {n: np.full_like(one.time, v) for n, v in one.start.items()})
+        for k, one in enumerate(offer.experiments)
+    ]
+    limits, able, logged = _limits(dataset, models[0].system), set(range(len(commanded))), []
     for model in models:
         system = model.system if offer.loop is None else offer.loop.on(model.system, offer.joint)
-        outputs = {
-            name: np.full_like(offer.experiments[0].time, v) for name, v in offer.experiments[0].start.items()
-        }
-        commanded = [
-            Record(name=str(k), time=one.time, inputs=one.inputs, outputs=outputs)
-            for k, one in enumerate(offer.experiments)
-        ]
         batch = make_batch(system, commanded, outputs=list(noise), noise_std=noise)
         run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
-        tau = (
-            None
-            if offer.loop is None
-            else offer.loop.torque(system, offer.joint.number, run.x, offer.experiments)
+        seen = [dict(zip(noise, outputs.T.numpy(), strict=True)) for outputs in run.y]
+        able -= {k for k, outputs in enumerate(seen) if not _within(limits, outputs)}
+        inputs = [one.inputs for one in commanded]
+        if offer.loop is not None:
+            tau = offer.loop.torque(system, offer.joint.number, run.x, offer.experiments)
+            goal = offer.experiments[0].channel
+            inputs = [
+                {n: v for n, v in given.items() if n != goal} | {offer.logged: torque}
+                for given, torque in zip(inputs, tau, strict=True)
+            ]
+        logged.append(
+            [replace(r, inputs=i, outputs=o) for r, i, o in zip(commanded, inputs, seen, strict=True)]
         )
-        records = []
-        for k, (one, record) in enumerate(zip(offer.experiments, commanded, strict=True)):
-            seen = {name: run.y[k, :, column].numpy() for column, name in enumerate(noise)}
-            able[k] &= _within_limits(dataset, models[0].system, seen)
-            inputs = dict(one.inputs)
-            if tau is not None:
-                del inputs[one.channel]
-                inputs[offer.logged] = tau[k]
-            records.append(replace(record, inputs=inputs, outputs=seen))
-        logged.append(records)
-    return (
-        [one for one, usable in zip(offer.experiments, able, strict=True) if usable],
-        [[one for one, usable in zip(records, able, strict=True) if usable] for records in logged],
-    )
+    kept = sorted(able)
+    return [offer.experiments[k] for k in kept], [[records[k] for k in kept] for records in logged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,25 +365,15 @@ def _left_by(model: FittedModel, batch: Batch, records: Sequence[str]) -> _Diffe
     engine = with_substeps(system, model.result.engine, batch)
     theta = system.theta().detach()[:, None].expand(-1, batch.rows)
     at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
-    n_x = batch.x.shape[-1]
-    start = torch.linalg.solve(
-        at.hessian[:, :n_x, :n_x], torch.cat([at.gradient[:, :n_x, None], at.hessian[:, :n_x, n_x:]], 2)
+    record = torch.tensor([records.index(name) for name in batch.names])
+    free_starts = torch.zeros(batch.rows, dtype=theta.dtype)
+    hessian, gradient, gain, _ = reduced(
+        at, record, len(records), free_starts, torch.zeros_like(batch.x0_std)
     )
-    pull = (at.hessian[:, n_x:, :n_x] @ start).numpy()
-    cost = 2.0 * at.cost - (at.gradient[:, :n_x] * start[..., 0]).sum(1)
-    rows = np.array([records.index(name) for name in batch.names])
-
-    def by_record(values: np.ndarray) -> np.ndarray:
-        total = np.zeros((len(records), *values.shape[1:]))
-        np.add.at(total, rows, values)
-        return total
-
-    return _Differences(
-        by_record(cost.numpy()),
-        by_record(at.gradient[:, n_x:].numpy() - pull[..., 0]),
-        by_record(at.hessian[:, n_x:, n_x:].numpy() - pull[..., 1:]),
-        by_record((batch.weight > 0).sum((1, 2)).numpy().astype(float)),
-    )
+    cost, count = gain.new_zeros(2, len(records))
+    cost.index_add_(0, record, at.cost)
+    count.index_add_(0, record, (batch.weight > 0).sum((1, 2)).to(count.dtype))
+    return _Differences(*(part.numpy() for part in (2.0 * (cost - gain), gradient, hessian, count)))
 
 
 # ---- which of them together ----
@@ -480,27 +464,33 @@ def _postures(dataset: Dataset) -> dict[str, dict[str, float]]:
     }
 
 
-def _within_limits(dataset: Dataset, system: System, outputs: Mapping[str, np.ndarray]) -> bool:
-    """Whether a run is finite, and a robot's joints stay near where the records have been, and inside their limits.
+def _limits(dataset: Dataset, system: System) -> dict[str, tuple[float, float]]:
+    """By output how far a robot's joints may go: near where the records have been, inside their limits but for that.
 
-    Inside but for where they were. A command in torque takes a joint far in a few seconds, and nobody has said that
-    there is room.
+    A command in torque takes a joint far in a few seconds, and nobody has said that there is room.
     """
-    if not all(np.isfinite(values).all() for values in outputs.values()):
-        return False
+    found: dict[str, tuple[float, float]] = {}
     if system.tree is None:
-        return True
-    for name, values in outputs.items():
-        joint = next((j for j in system.joints if name in (f"q_m{j.number}", f"q_a{j.number}")), None)
-        if joint is None:
-            continue
-        ratio = joint.gear_ratio if name.startswith("q_m") else 1.0
+        return found
+    for joint in system.joints:
         limits = system.tree.joints[system.arm.seats[system.joints.index(joint)]].limits
-        been = np.concatenate([r.outputs[name] for r in dataset.train if name in r.outputs])
-        low, high = sorted(limit * ratio for limit in limits)
-        near = BEYOND * float(np.ptp(been))
-        low = max(been.min() - near, min(low, been.min()))
-        high = min(been.max() + near, max(high, been.max()))
-        if values.min() < low or values.max() > high:
-            return False
-    return True
+        for name, ratio in ((f"q_m{joint.number}", joint.gear_ratio), (f"q_a{joint.number}", 1.0)):
+            seen = [r.outputs[name] for r in dataset.train if name in r.outputs]
+            if seen:
+                been = np.concatenate(seen)
+                low, high = sorted(limit * ratio for limit in limits)
+                near = BEYOND * float(np.ptp(been))
+                found[name] = (
+                    max(been.min() - near, min(low, been.min())),
+                    min(been.max() + near, max(high, been.max())),
+                )
+    return found
+
+
+def _within(limits: Mapping[str, tuple[float, float]], outputs: Mapping[str, np.ndarray]) -> bool:
+    """Whether a run is finite, and inside the limits."""
+    anywhere = -np.inf, np.inf
+    return all(
+        np.isfinite(values).all() and low <= values.min() and values.max() <= high
+        for values, (low, high) in ((values, limits.get(name, anywhere)) for name, values in outputs.items())
+    )

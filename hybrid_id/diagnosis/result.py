@@ -222,6 +222,11 @@ class Diagnosis:
             )
         return "\n".join([*lines, f"  {self._unexplained}", *self._remarks])
 
+    @property
+    def proposed(self) -> tuple[Experiment, ...]:
+        """The records to make next: those of :attr:`experiments`, if all of them together distinguish anything."""
+        return self.experiments if self.experiments and self.experiments[-1].distinguishes else ()
+
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``, former keys included."""
         content = self._content()
@@ -273,8 +278,7 @@ class Diagnosis:
                     "distance": e.distance,
                     "confounded": [[self._named(name) for name in pair] for pair in e.together],
                 }
-                for e in self.experiments
-                if self.experiments[-1].distinguishes
+                for e in self.proposed
             ],
         }  # fmt: skip
 

@@ -186,7 +186,7 @@ def lm_step(
         bounds: box and priors.
     """
     near = residual_variance[group, None] * (PROXIMAL_SHARE * state_rms).square().reciprocal()
-    hessian, gradient, gain, back = _reduce(part, group, len(values), damping[group], near)
+    hessian, gradient, gain, back = reduced(part, group, len(values), damping[group], near)
     hessian = hessian + torch.diag_embed(bounds.prior_precision.expand_as(values))
     gradient = gradient + bounds.prior_precision * (values - bounds.prior_mean)
     diagonal = hessian.diagonal(dim1=1, dim2=2)
@@ -222,7 +222,7 @@ def geodesic_acceleration(
     curvature = curvature - refused.residual
     curvature = curvature * loss.factor(part.residual)
     pull = replace(part, gradient=(part.jacobian * curvature[..., None]).sum((1, 2)))
-    _, slope, _, back = _reduce(pull, step.group, len(step.values), step.damping, step.near)
+    _, slope, _, back = reduced(pull, step.group, len(step.values), step.damping, step.near)
     second = torch.linalg.solve(step.matrix, -(slope * step.unit)[..., None])[..., 0]
     sizes = [(s / step.unit.clamp_min(1e-300)).norm(dim=1) for s in (step.shift, second * step.unit)]
     t = (0.375 * sizes[0] / sizes[1].clamp_min(1e-300)).clamp_max(1.0)[:, None]
@@ -238,7 +238,7 @@ def _moved(part: Evaluation, first: Tensor, shift: Tensor) -> Tensor:
     return part.x + (part.node_sensitivity.flatten(1, 2) @ move[..., None]).view_as(part.x)
 
 
-def _reduce(
+def reduced(
     e: Evaluation, sets: Tensor, count: int, damping: Tensor, near: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Eliminate each row's first state and add the rows of each set.

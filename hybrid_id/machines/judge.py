@@ -199,9 +199,7 @@ def _among_ties(effect: Said | None, truth: Truth) -> bool:
 
 def _hits(chosen: Sequence[Said], truth: Sequence[Truth]) -> int:
     """How many of the true effects are among the chosen ones, each of which serves once."""
-    right = np.array([[_right(one, t) for t in truth] for one in chosen], bool).reshape(
-        len(chosen), len(truth)
-    )
+    right = _rights(chosen, truth)
     return int(right[linear_sum_assignment(right, maximize=True)].sum())
 
 
@@ -211,14 +209,19 @@ def _claims(ranked: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float
     Each true effect serves its most probable name, and what is named. Another name that the answers accept for it is
     neither right nor wrong: of two names of one thing one alone can be probable.
     """
-    likely = np.array([[float(one["probability"]) * _right(one, t) for t in truth] for one in ranked])
-    rows, columns = linear_sum_assignment(likely.reshape(len(ranked), len(truth)), maximize=True)
-    serves = {row for row, column in zip(rows, columns, strict=True) if _right(ranked[row], truth[column])}
+    right, chance = _rights(ranked, truth), [float(one["probability"]) for one in ranked]
+    rows, columns = linear_sum_assignment(right * np.array(chance)[:, None], maximize=True)
+    serves = {row for row, column in zip(rows, columns, strict=True) if right[row, column]}
     return tuple(
-        (float(one["probability"]), any(_right(one, t) for t in truth))
+        (chance[k], bool(right[k].any()))
         for k, one in enumerate(ranked)
-        if k in serves or one["selected"] or not any(_right(one, t) for t in truth)
+        if k in serves or one["selected"] or not right[k].any()
     )
+
+
+def _rights(said: Sequence[Said], truth: Sequence[Truth]) -> np.ndarray:
+    """Which effect is right for which true one, ``(n, m)``."""
+    return np.array([[_right(one, t) for t in truth] for one in said], bool).reshape(len(said), len(truth))
 
 
 def _in_a_word(leading: Sequence[Truth], chosen: Sequence[Said], unknown: bool) -> str:
