@@ -10,7 +10,7 @@ from pathlib import Path
 
 import so101
 import torch
-from sets import CARRIES_NOTHING, CLIPPED, TABLE
+from sets import CARRIES_NOTHING, CLIPPED
 
 from hybrid_id import diagnose
 from hybrid_id.diagnosis.result import Diagnosis
@@ -21,10 +21,8 @@ from hybrid_id.systems.chain import System
 
 def nominal(folder: Path) -> System:
     """The user's description and the servo's data sheet; what single motions cannot identify is held."""
-    system = so101.model(folder)
-    names = {info.symbol: info.name for info in system.table if info.symbol in TABLE}
-    fixed = {names[symbol]: value for symbol, value in TABLE.items()} | CLIPPED
-    fixed |= {f"k_p_{joint}": value for joint, value in CARRIES_NOTHING.items()}
+    system = so101.model(folder, floor=False)
+    fixed = CLIPPED | {f"k_p_{joint}": value for joint, value in CARRIES_NOTHING.items()}
     return system.with_specs(
         {n: replace(system.parameter(n).spec.at(v), estimate=False) for n, v in fixed.items()}
     )

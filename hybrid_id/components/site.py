@@ -21,6 +21,20 @@ Searches = Mapping[str, Callable[[], list[Wave]]]
 
 
 @dataclass(frozen=True)
+class Tip:
+    """A point at the end of a robot that a joint raises and lowers.
+
+    Attributes:
+        name: in the robot's description, of a site or a body.
+        lowest, highest: where it is over all records, in the base's axes [m].
+    """
+
+    name: str
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True)
 class Scales:
     """Sizes of one joint's signals over all records, and of its fitted model.
 
@@ -42,6 +56,7 @@ class Scales:
         shows_torque: whether the motor's current or torque is measured, or the motor switched off at times.
         measured: channels of the joint that are, without its number.
         bodies: that the joint of a robot carries and that have a mass, outermost first.
+        tip: the lowest of the outermost points that the joint of a robot raises and lowers, if there is any.
     """
 
     joint: int
@@ -61,6 +76,7 @@ class Scales:
     shows_torque: bool = False
     measured: tuple[str, ...] = ()
     bodies: tuple[str, ...] = ()
+    tip: Tip | None = None
 
     @property
     def series(self) -> float:

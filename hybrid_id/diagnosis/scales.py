@@ -8,11 +8,15 @@ from typing import cast
 import torch
 
 from hybrid_id.components.base import Component
-from hybrid_id.components.site import Scales
+from hybrid_id.components.site import Scales, Tip
 from hybrid_id.records.units import number_of
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
+
+TOUCHED = 1e-3
+"""How far a joint must raise a point for what it touches to matter to that joint [m]."""
 
 
 def scales(system: System, batch: Batch) -> list[Scales]:
@@ -74,6 +78,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         rotor=rotor,
         measured=tuple(n.removesuffix(own) for n in batch.outputs if number_of(n) == own),
         bodies=_carried(system, joint),
+        tip=_tip(system, joint, batch),
         shows_torque=bool(shown) or (off is not None and bool((off < 1.0).any())),
     )
 
@@ -85,3 +90,27 @@ def _carried(system: System, joint: Joint) -> tuple[str, ...]:
         return ()
     found = [body for body in tree.bodies if body.inertia.mass and tree.carries(joint.number - 1, body.joint)]
     return tuple(body.name for body in sorted(found, key=lambda body: -body.joint))
+
+
+def _tip(system: System, joint: Joint, batch: Batch) -> Tip | None:
+    """The lowest of the points on the outermost link whose height a joint of a robot changes; None without any."""
+    tree, valid = system.tree, (batch.weight > 0).any(2)
+    if tree is None or system.seats is None:
+        return None
+    own = joint.number - 1
+    carried = {n: p for n, p in tree.points.items() if tree.carries(own, p.joint)}
+    last = max((point.joint for point in carried.values()), default=-1)
+    angles = {
+        k: batch.u[f"{MOTION[0]}{k + 1}"][valid] for k in range(len(tree.joints)) if k not in system.seats
+    }
+    for seat, one in zip(system.seats, system.joints, strict=True):
+        angles[seat] = batch.x[..., one.positions[0]][valid] / one.gear_ratio
+    held = angles | {own: torch.zeros_like(angles[own])}
+    moved, still = (tree.poses([q[k] for k in sorted(q)]) for q in (angles, held))
+    found = []
+    for name, point in carried.items():
+        if point.joint == last:
+            heights, without = (torch.as_tensor(tree.place(poses, point)[2]) for poses in (moved, still))
+            if float((heights - without).abs().max()) > TOUCHED:
+                found.append(Tip(name, float(heights.min()), float(heights.max())))
+    return min(found, key=lambda tip: tip.lowest, default=None)

@@ -133,7 +133,7 @@ def with_drive(whole: System, one: System) -> System:
     for key, part in one.components.items():
         if isinstance(part, Shared) and not isinstance(part, EVERYWHERE) and (part.kind, part.point) in taken:
             continue  # another joint has said what is there, which acts on all that carry it
-        parts[everywhere[key.split("/", 1)[1]] if isinstance(part, EVERYWHERE) else key] = part
+        parts[everywhere.get(key.split("/", 1)[1], key) if isinstance(part, EVERYWHERE) else key] = part
     placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
 

@@ -17,14 +17,24 @@ from hybrid_id import Dataset, diagnose, diagnose_arm
 from hybrid_id.components import REGISTRY, Component
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
+from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
+from hybrid_id.diagnosis.scales import scales
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
 from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
-from hybrid_id.systems.by_joint import STANDS, joints_to_diagnose, some, turned_together, with_others_measured
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.by_joint import (
+    STANDS,
+    alone,
+    joints_to_diagnose,
+    some,
+    turned_together,
+    with_others_measured,
+)
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model
 
@@ -220,16 +230,31 @@ def test_what_servos_and_descriptions_get_wrong_is_named(nominal: System, effect
 
 @pytest.mark.parametrize(
     ("effect", "part"),
-    [("base_tilt", BaseTilt(e_x=0.15, e_y=-0.1)), ("cable_pull", REGISTRY["cable"](k_c=3.0, q_c=0.2))],
+    [
+        ("base_tilt", BaseTilt(e_x=0.15, e_y=-0.1)),
+        ("cable_pull", REGISTRY["cable"](k_c=3.0, q_c=0.2)),
+        ("floor_contact", FloorContact("elbow_link", z_f=-0.28, k_f=400.0)),
+    ],
 )
-def test_a_tilted_base_and_a_taut_cable_are_named_among_loads(
+def test_a_tilted_base_a_taut_cable_and_a_floor_are_named_among_loads(
     nominal: System, effect: str, part: Component
 ) -> None:
     dataset = records_of(nominal.with_component("joint2/load", part))
-    with only("base_tilt", "cable_pull", "constant_torque", "link_mass", "spring_load", "encoder_zero"):
+    loads = "base_tilt", "cable_pull", "constant_torque", "floor_contact", "link_mass", "spring_load"
+    with only(*loads, "encoder_zero"):
         found = diagnose_arm(dataset, nominal, joints=["lift"], max_effects=1)
     (best,) = found.selected
     assert effect in {best.name, *(tie.split("@")[0] for tie in best.tied_with)} and best.probability > 0.3
+
+
+def test_a_floor_is_suspected_where_the_joint_raises_a_point_of_the_last_link(nominal: System) -> None:
+    dataset = records_of(nominal, 2)
+    tips = {}
+    for k, name in enumerate(["pan", "lift", "elbow"]):
+        one, records = alone(nominal, k), with_others_measured(dataset, nominal, k)
+        tips[name] = scales(one, batch_of(records, one, records.train))[0].tip
+    assert tips["pan"] is None and tips["elbow"] is None  # its origin is all that the last link has
+    assert tips["lift"].name == "elbow_link" and -0.3 <= tips["lift"].lowest < tips["lift"].highest < -0.1
 
 
 @pytest.mark.usefixtures("few")
