@@ -39,6 +39,7 @@ class RatedEffect:
         share_interval: 95 % interval of that; every draw of records chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
         sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not.
+        others: probability that it is one of those it is indistinguishable from, by the step that has compared them.
     """
 
     name: str
@@ -51,6 +52,12 @@ class RatedEffect:
     share_interval: Interval | None = None
     alone: float | None = None
     sure: bool = True
+    others: float = 0.0
+
+    @property
+    def together(self) -> float:
+        """Probability that it or one that it is indistinguishable from is at work."""
+        return min(self.probability + self.others, 1.0)
 
     @property
     def rank(self) -> tuple[float, ...]:
@@ -175,19 +182,12 @@ def _with_share(
     return replace(one, share=share, share_interval=interval, alone=alone, sure=sure)
 
 
-def together(one: RatedEffect, everyone: Sequence[RatedEffect]) -> float:
-    """Probability that an effect or one that it is indistinguishable from is at work."""
-    return min(
-        sum(c.probability for c in everyone if c is one or f"{c.name}@{c.where}" in one.tied_with), 1.0
-    )
-
-
 def doubtful(found: Grade) -> list[Name]:
     """Selected effects that may not be asserted: improbable, with all that they are tied with, or of no sure size."""
     return [
         (c.name, c.where)
         for c in found.effects
-        if c.selected and (together(c, found.effects) < CRITERIA.least_probability or not c.sure)
+        if c.selected and (c.together < CRITERIA.least_probability or not c.sure)
     ]
 
 
@@ -216,7 +216,8 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
 
     def rated(c: RatedEffect) -> RatedEffect:
         known = (c.name, c.where) in refuted
-        c = replace(c, probability=doubt.get(f"{c.name}@{c.where}", 1.0) * c.probability)
+        factor = doubt.get(f"{c.name}@{c.where}", 1.0)
+        c = replace(c, probability=factor * c.probability, others=factor * c.others)
         if not c.selected:
             return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
         low, high = c.share_interval or (0.0, 0.0)
@@ -245,8 +246,9 @@ def _of_an_image(effects: Sequence[RatedEffect], remainder: float) -> dict[str, 
     found: dict[str, float] = {}
     for c in effects:
         if c.selected:
-            every = together(c, effects)
-            factor = 1.0 - remainder * max(every - CRITERIA.least_probability, 0.0) / max(every, 1e-12)
+            factor = 1.0 - remainder * max(c.together - CRITERIA.least_probability, 0.0) / max(
+                c.together, 1e-12
+            )
             found |= dict.fromkeys((f"{c.name}@{c.where}", *c.tied_with), factor)
     return found
 
@@ -328,16 +330,17 @@ def _interval(draws: np.ndarray) -> Interval:
     return float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))
 
 
-def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel, float]]:
-    """By effect that was tried the step which says how probable it is, its model there, and that probability."""
-    said: dict[Name, tuple[SelectionStep, FittedModel, float]] = {}
+def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel, dict[Name, float]]]:
+    """By effect that was tried the step which says how probable it is, its model there, and how probable all are."""
+    said: dict[Name, tuple[SelectionStep, FittedModel, dict[Name, float]]] = {}
     for step in found.compared:
         if step.best is None:
             continue
-        for model, probability in zip(step.candidates, _probabilities(step), strict=True):
-            name = added_effect(model, step.before)
-            if name not in said or step.swap or probability > said[name][2]:
-                said[name] = step, model, float(probability)
+        names = [added_effect(model, step.before) for model in step.candidates]
+        odds = dict(zip(names, _probabilities(step).tolist(), strict=True))
+        for name, model in zip(names, step.candidates, strict=True):
+            if name not in said or step.swap or odds[name] > said[name][2][name]:
+                said[name] = step, model, odds
     return said
 
 
@@ -348,10 +351,12 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     """
     chosen = set(found.chosen.effects)
     best: dict[Name, RatedEffect] = {}
-    for name, (step, model, probability) in _last_words(found).items():
+    for name, (step, model, odds) in _last_words(found).items():
+        ties = [rival for rival in _ties(model, step) if rival != name]
         best[name] = RatedEffect(
-            name[0], name[1], probability, name in chosen, _ties(model, step, name),
+            name[0], name[1], odds[name], name in chosen, tuple("@".join(rival) for rival in ties),
             _parameters(found.chosen if name in chosen else model, name),
+            others=sum(odds[rival] for rival in ties),
         )  # fmt: skip
     # what the selected ones have made needless is no more probable than that these are wrong
     least = min((c.probability for c in best.values() if c.selected), default=0.0)
@@ -463,9 +468,8 @@ def indistinguishable(model: FittedModel, step: SelectionStep) -> list[FittedMod
     ]
 
 
-def _ties(model: FittedModel, step: SelectionStep, name: Name) -> tuple[str, ...]:
-    rivals = (added_effect(e, step.before) for e in indistinguishable(model, step))
-    return tuple("@".join(rival) for rival in rivals if rival != name)
+def _ties(model: FittedModel, step: SelectionStep) -> list[Name]:
+    return [added_effect(e, step.before) for e in indistinguishable(model, step)]
 
 
 def tied_models(found: Selection) -> list[list[FittedModel]]:

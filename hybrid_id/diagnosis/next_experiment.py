@@ -306,8 +306,9 @@ class _Differences:
         """
         rows = list(rows)
         gradient, hessian = self.gradient[rows].sum(0), self.hessian[rows].sum(0)
-        scale = np.sqrt(np.maximum(np.diag(hessian + known), 1e-300))
-        matrix = (hessian + known) / np.outer(scale, scale)
+        size = np.diag(hessian + known)
+        scale = np.sqrt(np.where(size > 1e-280, size, np.inf))  # what nothing depends on does not move
+        matrix = ((hessian + known) / scale / scale[:, None]).clip(-1.0, 1.0)
         step = np.linalg.lstsq(matrix, gradient / scale, rcond=1e-9)[0] / scale
         left = self.cost[rows].sum() - float(step @ gradient)
         if outputs:

@@ -11,7 +11,7 @@ from hybrid_id.diagnosis.catalogue import brought, separation
 from hybrid_id.diagnosis.changes import NOMINAL
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
-from hybrid_id.diagnosis.grade import NEGLIGIBLE, Interval, RatedEffect, together
+from hybrid_id.diagnosis.grade import NEGLIGIBLE, Interval, RatedEffect
 from hybrid_id.diagnosis.locate import HISTORY, IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
@@ -58,7 +58,7 @@ def headline(diagnosis: Diagnosis) -> str:
 def _effects(diagnosis: Diagnosis) -> str:
     chosen = asserted(diagnosis)
     said = [
-        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(diagnosis, one)})"
+        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(one)})"
         for k, one in enumerate(chosen)
     ]
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
@@ -84,11 +84,11 @@ def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
     return [one for one in diagnosis.selected if not one.negligible] or list(diagnosis.selected)
 
 
-def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:
+def _sure(one: RatedEffect) -> str:
     """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
     share = f"{between}; " if (between := share_interval(one)) else ""
     of = " of one of them" if one.tied_with else ""
-    return f"{share}probability{of} {probability_words(together(one, diagnosis.effects))}"
+    return f"{share}probability{of} {probability_words(one.together)}"
 
 
 def probability_words(value: float) -> str:

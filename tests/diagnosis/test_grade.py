@@ -22,7 +22,6 @@ from hybrid_id.diagnosis.grade import (
     structural_share,
     tied_models,
     tied_sets,
-    together,
 )
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.screen import SelectionStep
@@ -179,10 +178,11 @@ def test_nothing_improbable_or_of_no_sure_size_is_asserted() -> None:
     assert doubtful(graded(candidate(SPRING, 0.6), candidate(DRAG, 0.9))) == []
     assert doubtful(graded(candidate(SPRING, 0.4))) == [SPRING]
     assert doubtful(graded(candidate(SPRING, 0.9, sure=False))) == [SPRING]
-    rival = replace(candidate(WEIGHT, 0.3), selected=False)
-    tied = candidate(SPRING, 0.4, ties=("gravity_load@joint1/load",))
+    rival = replace(candidate(WEIGHT, 0.9), selected=False)
+    tied = replace(candidate(SPRING, 0.4, ties=("gravity_load@joint1/load",)), others=0.3)
     assert doubtful(graded(tied, rival)) == []
-    assert doubtful(graded(tied, replace(rival, probability=0.05))) == [SPRING]
+    # the step that has compared the two says it, not the one in which the rival was found
+    assert doubtful(graded(replace(tied, others=0.05), rival)) == [SPRING]
     assert doubtful(graded(replace(candidate(SPRING, 0.1), selected=False))) == []
 
 
@@ -316,11 +316,11 @@ def test_a_quiet_joint_of_a_robot_lacks_nothing_that_is_unknown(structural: floa
 
 def test_an_image_of_something_else_is_as_doubtful_with_a_rival_as_without() -> None:
     alone = RatedEffect(*SPRING, 0.96, True, (), {}, share=0.6, share_interval=(0.5, 0.65))
-    tie = replace(alone, probability=0.5, tied_with=("@".join(WEIGHT),))
+    tie = replace(alone, probability=0.5, tied_with=("@".join(WEIGHT),), others=0.46)
     rival = RatedEffect(*WEIGHT, 0.46, False, ("@".join(SPRING),), {})
     one = of_robot(Grade((alone,), 0.4, (0.3, 0.5), True, 10.0, 0.9), (), 1.0)
     two = of_robot(Grade((tie, rival), 0.4, (0.3, 0.5), True, 10.0, 0.9), (), 1.0)
-    assert together(two.effects[0], two.effects) == pytest.approx(one.effects[0].probability)
+    assert two.effects[0].together == pytest.approx(one.effects[0].probability)
 
 
 @pytest.mark.parametrize(("surely", "most", "unknown"), [(0.02, 0.6 / 0.85, False), (0.12, 0.6, True)])
