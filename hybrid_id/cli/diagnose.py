@@ -347,7 +347,8 @@ def write_parts(
         tables = []
         for k, one in enumerate(diagnosis.proposed, 1):
             columns = as_in_robot(one.inputs, diagnosis.model)
-            tables.append(DataFrame({"t": one.time, "record": k, "name": one.name, **columns}))
+            begin = {f"start_{name}": angle for name, angle in one.start.items()}
+            tables.append(DataFrame({"t": one.time, "record": k, "name": one.name, **columns, **begin}))
         concat(tables).to_csv(folder / NEXT, index=False, float_format="%.6g")
     return write_report(
         folder,
