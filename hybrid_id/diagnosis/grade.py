@@ -403,10 +403,13 @@ def _beside(found: Selection) -> dict[Name, float]:
 
 
 def _probabilities(step: SelectionStep) -> np.ndarray:
-    """Probability of each candidate: how surely the best predicts better, and how surely each explains anything."""
+    """Probability of each candidate: how surely the best predicts better, and how surely each explains anything.
+
+    What is not accepted, as one record alone gains by it, say, is no more probable than a best that is.
+    """
     best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
     present = {one: _present(one, step.before, p) for one, p in chances(step).items()}
-    sure = present.get(best, 0.0)
+    sure, passing = present.get(best, 0.0), accepted_ones(step)
     for k, one in enumerate(step.candidates):
         if step.odds:
             logs[k] = step.odds[k]
@@ -415,6 +418,8 @@ def _probabilities(step: SelectionStep) -> np.ndarray:
         elif one.judged and one.error < step.before.error and not _contains(one, step):
             explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
             logs[k] = log_odds(best, one, step.before) + math.log(explains)
+            if best in passing and one not in passing:
+                logs[k] = min(logs[k], 0.0)
     odds = np.exp(logs - logs.max())
     return sure * odds / odds.sum()
 

@@ -25,7 +25,7 @@ from hybrid_id.diagnosis.grade import (
 )
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.screen import SelectionStep
-from hybrid_id.diagnosis.select import Selection
+from hybrid_id.diagnosis.select import Selection, accepted_ones
 from hybrid_id.diagnosis.validation import Validation
 
 BLOCKS = 240
@@ -162,6 +162,26 @@ def test_where_structure_is_left_what_is_not_much_less_probable_is_indistinguish
         share_of(grade(NONE, search((base, leaving(10.0, [1] * 6, SPRING), sure)), 0.5), SPRING).tied_with
         == ()
     )
+
+
+def test_what_one_record_alone_gains_by_is_no_more_probable_than_what_is_accepted() -> None:
+    """One effect does better in most blocks, the other in the sum of each record, and worse than neither in most."""
+
+    def errs(small: float, large: float, first: float, *names: Name) -> Any:
+        one, record = model(1.0, *names, seed=len(names)), np.full(40, small)
+        blocks = np.tile(record, 6)
+        blocks[::40] = [first, *[large] * 5]
+        blocks = one.validation.blocks * blocks
+        return replace(one, validation=replace(one.validation, blocks=blocks), autocorrelation=0.9)
+
+    base = errs(4.0, 100.0, 3000.0)
+    spring, weight = errs(2.8, 251.0, 1000.0, SPRING), errs(4.08, 161.0, 700.0, WEIGHT)
+    told = search((base, spring, weight))
+    assert weight.error < spring.error and weight.ahead_of(spring) > 2.0
+    assert accepted_ones(told.steps[0]) == [spring]
+    found = grade(NONE, told, 0.5)
+    one = share_of(found, SPRING)
+    assert one.probability >= share_of(found, WEIGHT).probability and one.together > 0.5
 
 
 def candidate(
