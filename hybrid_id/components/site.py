@@ -56,7 +56,7 @@ class Scales:
         shows_torque: whether the motor's current or torque is measured, or the motor switched off at times.
         measured: channels of the joint that are, without its number.
         bodies: that the joint of a robot carries and that have a mass, outermost first.
-        tip: the lowest of the outermost points that the joint of a robot raises and lowers, if there is any.
+        tip: the lowest of the points at the robot's ends that the joint raises and lowers, if there is any.
     """
 
     joint: int

@@ -464,7 +464,7 @@ def common_sizes(
         model: the corrected robot.
         known: its parameters with their standard errors, which are compared.
     """
-    sizes: dict[tuple[str, str, str], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
+    sizes: dict[tuple[str, str, str, str], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
     for joint, one in found.items():
         for each in one.selected:
             # what acts on all joints stands in the robot once: each joint has its own estimate
@@ -475,7 +475,8 @@ def common_sizes(
                 size = own.get(symbol) or known.get(info.name)
                 if symbol in each.parameters and size is not None:
                     place = each.where.rpartition("/")[2]
-                    sizes.setdefault((each.name, place, symbol), []).append((joint, size, info))
+                    point = getattr(whole.components[info.component], "point", "")
+                    sizes.setdefault((each.name, place, point, symbol), []).append((joint, size, info))
     result = []
     for (name, *_), each in sizes.items():
         values, stds = np.array([size for _, size, _ in each]).T

@@ -330,7 +330,9 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
             result = _nearest(fits.engine, task, batch, iterations, halting)
         if hidden and task.perturb and full:
             result = perturbed_restarts(result, batch, tries=TRIES)
-        judge = full and mean_square(result.residual) < task.judged_below
+        # what is taken as it stands has seen no validation record either
+        judge = full or (iterations == 0 and bool(fits.dataset.validation))
+        judge = judge and mean_square(result.residual) < task.judged_below
         found = (
             _judged(fits, result, batch)
             if judge

@@ -93,23 +93,21 @@ def _carried(system: System, joint: Joint) -> tuple[str, ...]:
 
 
 def _tip(system: System, joint: Joint, batch: Batch) -> Tip | None:
-    """The lowest of the points on the outermost link whose height a joint of a robot changes; None without any."""
+    """The lowest of the points at the ends of the tree whose height a joint of a robot changes; None without any."""
     tree, valid = system.tree, (batch.weight > 0).any(2)
-    if tree is None or system.seats is None:
+    if tree is None:
         return None
-    own = joint.number - 1
-    carried = {n: p for n, p in tree.points.items() if tree.carries(own, p.joint)}
-    last = max((point.joint for point in carried.values()), default=-1)
-    angles = {
-        k: batch.u[f"{MOTION[0]}{k + 1}"][valid] for k in range(len(tree.joints)) if k not in system.seats
-    }
-    for seat, one in zip(system.seats, system.joints, strict=True):
-        angles[seat] = batch.x[..., one.positions[0]][valid] / one.gear_ratio
-    held = angles | {own: torch.zeros_like(angles[own])}
-    moved, still = (tree.poses([q[k] for k in sorted(q)]) for q in (angles, held))
+    seats = list(range(len(tree.joints))) if system.seats is None else system.seats
+    seat = seats[system.joints.index(joint)]
+    angles = {k: batch.u[f"{MOTION[0]}{k + 1}"][valid] for k in range(len(tree.joints)) if k not in seats}
+    for k, one in zip(seats, system.joints, strict=True):
+        angles[k] = batch.x[..., one.positions[0]][valid] / one.gear_ratio
+    own = {seat: angles[seat].mean().expand_as(angles[seat])}
+    moved, still = (tree.poses([q[k] for k in sorted(q)]) for q in (angles, angles | own))
+    inner = {one.parent for one in tree.joints}
     found = []
-    for name, point in carried.items():
-        if point.joint == last:
+    for name, point in tree.points.items():
+        if point.joint not in inner and tree.carries(seat, point.joint):
             heights, without = (torch.as_tensor(tree.place(poses, point)[2]) for poses in (moved, still))
             if float((heights - without).abs().max()) > TOUCHED:
                 found.append(Tip(name, float(heights.min()), float(heights.max())))

@@ -32,12 +32,13 @@ from hybrid_id.reporting.diagnosis_words import (
     moved_line,
     percent,
     place_words,
-    probability_words,
+    point_words,
     rejected_lines,
     rest_line,
     share_interval,
     share_words,
     shrink_line,
+    sure_words,
     tie_lines,
     unmeasured,
     words_of,
@@ -96,8 +97,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
     if found.selected:
         said = [
             f"{words_of(one.name)} at {joint}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
-            f"({f'{between}; ' if (between := share_interval(one)) else ''}probability "
-            f"{probability_words(one.probability)})"
+            f"({f'{between}; ' if (between := share_interval(one)) else ''}{sure_words(one)})"
             for k, (one, _, joint) in enumerate(large)
         ]
         sentence = f"{capital(joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
@@ -113,7 +113,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
         if small:
             said = [
                 f"{words_of(one.name)} at {joint} ({percent(own.share or 0.0)} of that joint's own gap; "
-                f"probability {probability_words(one.probability)})"
+                f"{sure_words(one)})"
                 for one, own, joint in small
             ]
             sentence += f" Of less than 0.5 % of the robot's gap each: {joined(said)}."
@@ -162,6 +162,7 @@ def lacks(found: ArmDiagnosis, joint: str) -> str:
         return _DIFFERS if one.varying else _VERDICTS[one.verdict]
     return "; ".join(
         f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
+        f"{point_words(e.name, e.where, one.model)}"
         for e in asserted(one)
     )
 
@@ -174,7 +175,7 @@ def joints_table(found: ArmDiagnosis) -> Table:
     rows = []
     for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
         one = found.joints[joint]
-        sure = "; ".join(f"{e.probability:.2f}" for e in asserted(one))
+        sure = "; ".join(f"{e.together:.2f}" for e in asserted(one))
         explained = "; ".join(map(share_words, asserted(one)))
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
         rows.append(

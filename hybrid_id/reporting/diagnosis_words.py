@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hybrid_id.diagnosis.catalogue import brought, separation
+from hybrid_id.diagnosis.catalogue import CATALOGUE, brought, effect, separation
 from hybrid_id.diagnosis.changes import NOMINAL
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
@@ -87,8 +87,12 @@ def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
 def _sure(one: RatedEffect) -> str:
     """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
     share = f"{between}; " if (between := share_interval(one)) else ""
-    of = " of one of them" if one.tied_with else ""
-    return f"{share}probability{of} {probability_words(one.together)}"
+    return f"{share}{sure_words(one)}"
+
+
+def sure_words(one: RatedEffect) -> str:
+    """The probability of an effect, or of one that it is indistinguishable from."""
+    return f"probability{' of one of them' if one.tied_with else ''} {probability_words(one.together)}"
 
 
 def probability_words(value: float) -> str:
@@ -555,7 +559,18 @@ def _at(name: str, where: str, system: System) -> str:
     if " and " in where:
         first, _, rest = where.partition(" and ")
         return f"{_at(name, first, system)} with {_at(*_member(rest), system)}"
-    return f"{words_of(name)} ({joint_words(where, system)}, {place_words(where)})"
+    return f"{words_of(name)} ({joint_words(where, system)}, {place_words(where)}{point_words(name, where, system)})"
+
+
+def point_words(name: str, where: str, system: System) -> str:
+    """Of an effect that sits at a body or a point of a robot's description, after its place: which one it is."""
+    kinds = effect(name).kinds if name in CATALOGUE else ()
+    found = (
+        getattr(system.components[key], "point", "")
+        for kind in kinds
+        if (key := f"{where}/{kind}") in system.components
+    )
+    return "".join(f" of '{point}'" for point in found if point)
 
 
 def joint_words(where: str, system: System) -> str:

@@ -105,6 +105,11 @@ def some(system: System, joints: Sequence[int]) -> System:
         own = key.startswith(here)
         if own or isinstance(part, EVERYWHERE):
             moved[key] = key if own else here[0] + key.split("/", 1)[1]
+            if list(moved.values()).count(moved[key]) > 1:
+                kind = cast(Component, part).kind
+                raise InputError(
+                    f"The model lists {kind} at several joints, which none takes by itself; keep one."
+                )
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
     views = system.views([value.reshape(1) for value in system.theta().detach()])
@@ -125,17 +130,22 @@ def together(one: System) -> System:
 def with_drive(whole: System, one: System) -> System:
     """A robot with the drives that :func:`some` took out of it instead of its own."""
     here = tuple(f"{joint.name}/" for joint in one.joints)
-    everywhere = {
-        key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, EVERYWHERE)
-    }
+    was = {_what(part): key for key, part in one.whole[0].components.items() if isinstance(part, EVERYWHERE)}
     parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
-    taken = {(part.kind, part.point) for part in parts.values() if isinstance(part, Shared)}
+    taken = {
+        _what(part) for key, part in parts.items() if isinstance(part, Shared) and key not in was.values()
+    }
     for key, part in one.components.items():
-        if isinstance(part, Shared) and not isinstance(part, EVERYWHERE) and (part.kind, part.point) in taken:
+        if isinstance(part, Shared) and _what(part) in taken:
             continue  # another joint has said what is there, which acts on all that carry it
-        parts[everywhere.get(key.split("/", 1)[1], key) if isinstance(part, EVERYWHERE) else key] = part
+        parts[was.get(_what(part), key)] = part
     placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
+
+
+def _what(part: object) -> tuple[str, str]:
+    """What a component that acts on several joints is, and where on the robot."""
+    return getattr(part, "kind", ""), getattr(part, "point", "")
 
 
 def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Dataset:

@@ -258,6 +258,15 @@ def test_a_floor_is_suspected_where_the_joint_raises_a_point_of_the_last_link(no
 
 
 @pytest.mark.usefixtures("few")
+def test_fewer_validation_than_train_records_judge_what_stands_for_all(nominal: System) -> None:
+    dataset = records_of(nominal.with_component("joint2/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4)), 5)
+    roles = ["train"] * 3 + ["validation"] * 2
+    records = tuple(replace(one, role=role) for one, role in zip(dataset.records, roles, strict=True))
+    found = diagnose_arm(replace(dataset, records=records), nominal, joints=["lift"], max_effects=1)
+    assert [one.name for one in found.selected] == ["spring_load"]
+
+
+@pytest.mark.usefixtures("few")
 def test_a_joint_that_cannot_be_fitted_does_not_cost_the_others_their_answers(
     nominal: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:

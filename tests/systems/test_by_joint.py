@@ -22,6 +22,7 @@ from hybrid_id.systems.by_joint import (
     noisier,
     some,
     together,
+    with_drive,
     with_others_measured,
 )
 from hybrid_id.systems.chain import System
@@ -173,6 +174,26 @@ def test_what_a_joint_alone_lacks_is_said(tmp_path: Path) -> None:
 def test_a_floor_needs_a_point_of_the_robot(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'hand', which the robot does not have; give one of"):
         arm(tmp_path).with_component("joint3/load", FloorContact("hand"))
+
+
+def test_what_two_joints_touch_is_one_floor_at_one_point_and_two_at_two(tmp_path: Path) -> None:
+    system = arm(tmp_path)
+
+    def touching(joint: int, point: str, height: float) -> System:
+        return alone(system, joint).with_component(f"joint{joint + 1}/load", FloorContact(point, z_f=height))
+
+    def floors(one: System) -> dict[str, float]:
+        return {i.component.split("/")[0]: i.spec.value for i in one.table if i.symbol == "z_f"}
+
+    lift, elbow = touching(1, "tip", -0.36), touching(2, "tip", -0.3)
+    assert floors(with_drive(with_drive(system, lift), elbow)) == {"joint2": -0.36}
+    other = next(name for name in system.tree.points if name != "tip")
+    both = with_drive(with_drive(system, lift), touching(2, other, -0.3))
+    assert floors(both) == {"joint2": -0.36, "joint3": -0.3}
+    with pytest.raises(
+        InputError, match="floor_contact at several joints, which none takes by itself; keep one"
+    ):
+        alone(both, 1)
 
 
 def test_what_was_found_of_a_joint_goes_back_into_the_robot(tmp_path: Path) -> None:

@@ -32,8 +32,8 @@ class FloorContact(Attached):
     k_f = Parameter(1e3, upper=1e8, unit="N/m", doc="stiffness of the contact")
     effect = Effect(
         "floor_contact",
-        "floor or table that the tip rests on where it is low; usually unnoticed, where goals end a few millimetres "
-        "below it",
+        "floor or table that the robot's end rests on where it is low, along the base's z; usually as much force as "
+        "the motors give, where goals end below it",
         "W. J. Stronge, Impact Mechanics, 2nd ed., Cambridge, 2018",
         {
             "cable_pull": LIFTED,
