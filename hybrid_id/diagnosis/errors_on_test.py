@@ -203,9 +203,14 @@ def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -
     scatter = min(1.96 * float(np.std([after for _, after in pairs])) / scale, 0.5)
     least, most = min(with_effect.noise, floor) / scale * (1.0 - scatter), floor / scale * (1.0 + scatter)
     # the floor moves with the error that is drawn: the same blocks hold the same noise
-    lows = [_share(before, after, least * after) for before, after in pairs]
-    highs = [_share(before, after, min(most * after, 0.5 * (before + after))) for before, after in pairs]
-    low, high = float(np.quantile(lows, 0.025)), float(np.quantile(highs, 0.975))
+    ends = []
+    for before, after in pairs:
+        highest = 0.5 * (before + after * (after < before))
+        # what errs more than before errs the more of a gap, the less of it was there
+        ends.append(sorted(_share(before, after, f) for f in (least * after, min(most * after, highest))))
+    low, high = (
+        float(np.quantile(end, q)) for end, q in zip(np.transpose(ends), (0.025, 0.975), strict=True)
+    )
     return Shrink(
         _share(refit.nrmse, with_effect.nrmse, floor), (low, high), refit.nrmse, with_effect.nrmse, floor
     )

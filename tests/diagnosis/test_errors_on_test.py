@@ -50,6 +50,13 @@ def test_same_seed_same_interval(rng: np.random.Generator) -> None:
     assert shrink(*pair, 0.01, seed=3) == shrink(*pair, 0.01, seed=3)
 
 
+def test_what_errs_more_than_before_has_an_interval_below_zero_that_holds_its_share(
+    rng: np.random.Generator,
+) -> None:
+    found = shrink(made(rng, 0.05, 60), made(rng, 0.15, 60, noise=0.01), 0.02)
+    assert found.interval[0] < found.share < found.interval[1] < 0.0
+
+
 def test_nothing_is_closed_where_nothing_changes(rng: np.random.Generator) -> None:
     same = made(rng, 0.1, 16)
     assert shrink(same, same, 0.05).share == 0.0
