@@ -31,13 +31,12 @@ from hybrid_id.reporting.diagnosis_words import (
     measured,
     moved_line,
     percent,
-    place_words,
-    point_words,
     rejected_lines,
     rest_line,
     share_interval,
     share_words,
     shrink_line,
+    spot_words,
     sure_words,
     tie_lines,
     unmeasured,
@@ -161,8 +160,7 @@ def lacks(found: ArmDiagnosis, joint: str) -> str:
     if not one.selected:
         return _DIFFERS if one.varying else _VERDICTS[one.verdict]
     return "; ".join(
-        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
-        f"{point_words(e.name, e.where, one.model)}"
+        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {spot_words(e.name, e.where, one.model)}"
         for e in asserted(one)
     )
 

@@ -559,18 +559,15 @@ def _at(name: str, where: str, system: System) -> str:
     if " and " in where:
         first, _, rest = where.partition(" and ")
         return f"{_at(name, first, system)} with {_at(*_member(rest), system)}"
-    return f"{words_of(name)} ({joint_words(where, system)}, {place_words(where)}{point_words(name, where, system)})"
+    return f"{words_of(name)} ({joint_words(where, system)}, {spot_words(name, where, system)})"
 
 
-def point_words(name: str, where: str, system: System) -> str:
-    """Of an effect that sits at a body or a point of a robot's description, after its place: which one it is."""
+def spot_words(name: str, where: str, system: System) -> str:
+    """Where an effect acts: at a body or point of a robot's description, or at its place of the joint."""
     kinds = effect(name).kinds if name in CATALOGUE else ()
-    found = (
-        getattr(system.components[key], "point", "")
-        for kind in kinds
-        if (key := f"{where}/{kind}") in system.components
-    )
-    return "".join(f" of '{point}'" for point in found if point)
+    parts = (system.components[key] for kind in kinds if (key := f"{where}/{kind}") in system.components)
+    point = next((point for part in parts if (point := getattr(part, "point", ""))), "")
+    return f"at '{point}'" if point else place_words(where)
 
 
 def joint_words(where: str, system: System) -> str:
