@@ -322,6 +322,7 @@ def effect_entry(one: RatedEffect) -> dict[str, Any]:
         "name": one.name,
         "where": one.where,
         "probability": round(one.probability, 4),
+        "probability_with_ties": round(one.together, 4),
         "share": one.share,
         "share_interval": None if one.share_interval is None else list(one.share_interval),
         "share_alone": one.alone,
