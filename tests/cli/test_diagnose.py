@@ -111,9 +111,8 @@ def test_the_next_experiment_is_ready_to_be_played(
     begin = [f"start_{name}" for name in dataset.train[0].outputs]
     assert list(table) == ["t", "record", "name", *dataset.train[0].inputs, *begin]
     for k, one in enumerate(proposed, 1):
-        assert table[begin][table["record"] == k].drop_duplicates().to_numpy()[0] == pytest.approx(
-            list(one.start.values()), rel=1e-5
-        )
+        for name, angle in one.start.items():
+            assert table[f"start_{name}"][table["record"] == k].unique() == pytest.approx([angle], rel=1e-5)
         np.testing.assert_allclose(table["u1"][table["record"] == k], one.command, rtol=1e-5)
         assert np.ptp(one.command) > 0.0
 
