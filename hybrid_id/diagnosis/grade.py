@@ -16,7 +16,7 @@ from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.screen import SelectionStep, log_odds, log_odds_at, needed_fall
-from hybrid_id.diagnosis.select import Selection, accepted_ones, chances, refitted_without
+from hybrid_id.diagnosis.select import Selection, accepted_ones, chances, passes, refitted_without
 from hybrid_id.diagnosis.validation import Validation, mean_square
 
 Interval = tuple[float, float]
@@ -352,7 +352,8 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     chosen = set(found.chosen.effects)
     best: dict[Name, RatedEffect] = {}
     for name, (step, model, odds) in _last_words(found).items():
-        ties = [rival for rival in _ties(model, step) if rival != name]
+        alike = (added_effect(e, step.before) for e in indistinguishable(model, step))
+        ties = [rival for rival in alike if rival != name]
         best[name] = RatedEffect(
             name[0], name[1], odds[name], name in chosen, tuple("@".join(rival) for rival in ties),
             _parameters(found.chosen if name in chosen else model, name),
@@ -408,8 +409,10 @@ def _probabilities(step: SelectionStep) -> np.ndarray:
     What is not accepted, as one record alone gains by it, say, is no more probable than a best that is.
     """
     best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
-    present = {one: _present(one, step.before, p) for one, p in chances(step).items()}
-    sure, passing = present.get(best, 0.0), accepted_ones(step)
+    known = chances(step)
+    present = {one: _present(one, step.before, p) for one, p in known.items()}
+    passing = [one for one, p in known.items() if passes(one, step.before, p)]
+    sure = present.get(best, 0.0)
     for k, one in enumerate(step.candidates):
         if step.odds:
             logs[k] = step.odds[k]
@@ -471,10 +474,6 @@ def indistinguishable(model: FittedModel, step: SelectionStep) -> list[FittedMod
             else log_odds(model, e, step.before) > unlikely
         )
     ]
-
-
-def _ties(model: FittedModel, step: SelectionStep) -> list[Name]:
-    return [added_effect(e, step.before) for e in indistinguishable(model, step)]
 
 
 def tied_models(found: Selection) -> list[list[FittedModel]]:

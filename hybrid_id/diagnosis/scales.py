@@ -97,13 +97,12 @@ def _tip(system: System, joint: Joint, batch: Batch) -> Tip | None:
     tree, valid = system.tree, (batch.weight > 0).any(2)
     if tree is None:
         return None
-    seats = list(range(len(tree.joints))) if system.seats is None else system.seats
-    seat = seats[system.joints.index(joint)]
+    seats, seat = system.arm.seats, joint.number - 1
     angles = {k: batch.u[f"{MOTION[0]}{k + 1}"][valid] for k in range(len(tree.joints)) if k not in seats}
     for k, one in zip(seats, system.joints, strict=True):
         angles[k] = batch.x[..., one.positions[0]][valid] / one.gear_ratio
-    own = {seat: angles[seat].mean().expand_as(angles[seat])}
-    moved, still = (tree.poses([q[k] for k in sorted(q)]) for q in (angles, angles | own))
+    held = angles | {seat: angles[seat].mean().expand_as(angles[seat])}
+    moved, still = (tree.poses([q[k] for k in sorted(q)]) for q in (angles, held))
     inner = {one.parent for one in tree.joints}
     found = []
     for name, point in tree.points.items():

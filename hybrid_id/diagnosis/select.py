@@ -170,10 +170,10 @@ def accepted(richer: FittedModel, simpler: FittedModel, rivals: Collection[Fitte
         rivals: all candidates among which the richer one has been found.
     """
     # what has not been fitted to the end has seen the records that would judge it
-    return richer.judged and _passes(richer, simpler, chance(richer, simpler, rivals))
+    return richer.judged and passes(richer, simpler, chance(richer, simpler, rivals))
 
 
-def _passes(richer: FittedModel, simpler: FittedModel, p: float) -> bool:
+def passes(richer: FittedModel, simpler: FittedModel, p: float) -> bool:
     """Whether a fall of the error on records left out is large enough and no chance's.
 
     Where the simpler model leaves structure, that something is missing is plain, and the question is what.
@@ -184,7 +184,7 @@ def _passes(richer: FittedModel, simpler: FittedModel, p: float) -> bool:
 
 def accepted_ones(step: SelectionStep) -> list[FittedModel]:
     """The candidates of a step that are accepted, in its order: one draw of chance serves them all."""
-    return [e for e, p in chances(step).items() if _passes(e, step.before, p)]
+    return [e for e, p in chances(step).items() if passes(e, step.before, p)]
 
 
 def chances(step: SelectionStep) -> dict[FittedModel, float]:

@@ -104,13 +104,14 @@ def some(system: System, joints: Sequence[int]) -> System:
     for key, part in system.components.items():
         own = key.startswith(here)
         if own or isinstance(part, EVERYWHERE):
-            moved[key] = key if own else here[0] + key.split("/", 1)[1]
-            if list(moved.values()).count(moved[key]) > 1:
+            there = key if own else here[0] + key.split("/", 1)[1]
+            if there in moved.values():
                 kind = cast(Component, part).kind
                 raise InputError(
                     f"The model lists {kind} at several joints, which none takes by itself; keep one."
                 )
-            parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
+            moved[key] = there
+            parts.append((there.rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
     views = system.views([value.reshape(1) for value in system.theta().detach()])
     bodies = system.arm.bodies(views)

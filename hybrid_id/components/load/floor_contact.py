@@ -56,9 +56,8 @@ class FloorContact(Attached):
             return []
         lowest, highest = site.tip.lowest, site.tip.highest
         reach = highest - lowest
-        size = (
-            site.torque * site.ratio / reach**2
-        )  # holds the joint's torque where it is pressed in by all that it moves
+        # pressed in by as much as the tip moves, at a lever as long, it takes the joint's torque
+        size = site.torque * site.ratio / reach**2
         k_f = free(10.0 * size, 0.0, 1e4 * size)
         return [
             {"point": site.tip.name, "z_f": free(lowest + share * reach, lowest, highest), "k_f": k_f}
