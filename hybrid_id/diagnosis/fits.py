@@ -22,6 +22,7 @@ from hybrid_id.diagnosis.plausibility import NUISANCE
 from hybrid_id.diagnosis.validation import Validation, autocorrelation, mean_square, validation
 from hybrid_id.errors import InputError, MachineError, shortened
 from hybrid_id.identification.finite_differences import (
+    STEPS,
     WORST,
     Rollouts,
     Slopes,
@@ -65,6 +66,8 @@ TRIES = 2
 SUBSTEP_RATE = 4000.0
 """Sub-steps that a candidate needs at most [1/s]: they follow what swings at 300 Hz. More where the nominal model
 takes more than half as many: twice its own."""
+SLOW = 1e-3
+"""Share of what a fit leaves beyond noise that a few steps have to gain, for it to go on."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
 MOST_REASON = 200
@@ -161,7 +164,7 @@ class Fits:
         return astray([model.result], self.records(model.system))
 
     def base(self, system: System, *, free: bool = False) -> FittedModel:
-        """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower.
+        """The nominal model, fitted from a fit in windows and from its nominal values, whichever ends lower.
 
         Where it leaves structure its parameters are held (:func:`with_priors`), unless they are to be ``free``. How
         well it predicts each record says how much that counts in all later comparisons.
@@ -171,7 +174,7 @@ class Fits:
         near = kept_fit(self.kept, system, batch, pooled=True, engine=engine(), options=options)[0]
         most = max(round(SUBSTEP_RATE * batch.sample_time), 2 * near.engine.substeps, 1)
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
-        best = self._best([system, near.system])
+        best = self._best([Task((), near.system, x0=near.x0), Task((), system)])
         if best is None:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
@@ -188,22 +191,23 @@ class Fits:
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
 
-    def _best(self, starts: Sequence[System], *, judge: bool = False) -> FittedModel | None:
-        """The fit of the nominal model from several starts that ends lowest."""
-        below = math.inf if judge else 0.0
-        ends = [
-            e for e in self.run([Task((), one, judged_below=below) for one in starts], FULL) if e is not None
-        ]
+    def _best(self, starts: Sequence[Task]) -> FittedModel | None:
+        """The fit from several starts that ends lowest; the first that leaves no more than noise is enough."""
+        ends = list[FittedModel]()
+        for start in starts:
+            ends += [end for end in self.run([replace(start, judged_below=0.0)], FULL) if end is not None]
+            if ends and ends[-1].white:
+                break
         return min(ends, key=lambda e: e.result.cost, default=None)
 
     def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
         """The nominal model with its parameters held as closely as predicts records left out best."""
-        found, starts = None, [system, free.system]
+        found, start = None, Task((), system)
         for share in HOLDS:
-            end = self._best([with_priors(start, system, free, share) for start in starts], judge=True)
+            end = self.run([replace(start, system=with_priors(start.system, system, free, share))], FULL)[0]
             if end is None or (found is not None and end.validation.typical >= found.validation.typical):
                 break
-            found, starts = end, [end.system]
+            found, start = end, Task((), end.system, x0=end.result.x0)
         return found
 
     def slopes(self, system: System, least: float) -> Slopes | None:
@@ -427,7 +431,8 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
         inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
         others = batch.take(inside)
         settings = {
-            "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False
+            "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False,
+            "shares": STEPS[:1],
         }  # fmt: skip
         again = finite_difference_fit(result.system, others, begin=slopes.of_rows(inside.numpy()), **settings)
         if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
@@ -465,10 +470,12 @@ def _both_ways(
     """
     # standard errors are those of the encoders' noise, of which the errors of what is not there yet are many
     noise = (2.0 * cost / float((batch.weight > 0).sum())) ** 0.5
-    options, ends = Options(max_iterations=iterations, tolerance=0.05 * max(noise, 1.0)), []
+    options, ends = Options(max_iterations=iterations, tolerance=0.05 * max(noise, 1.0), least_gain=SLOW), []
     last = iterations == FULL
     with suppress(InputError, RuntimeError):
-        exact = fit(system, batch, pooled=True, engine=how, options=options, warm=last)[0]
+        known = None if x0 is None else torch.as_tensor(x0)
+        warm = last and known is None
+        exact = fit(system, batch, pooled=True, engine=how, options=options, warm=warm, x0=known)[0]
         # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
         there = finite_difference_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))

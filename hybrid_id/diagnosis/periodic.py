@@ -29,6 +29,8 @@ FINEST = 1200
 """Periods over such a range, or below the whole ones of a motor, that are looked at, at most."""
 THINNED, SHORTLIST = 4, 90
 """Of many shapes, every so many windows choose so many of them, which are then held against all windows."""
+ROUNDING = 1e-10
+"""Share of a shape's squares beside the model's own parameters, below which these do the same."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
 SPOTS = 24
@@ -203,18 +205,29 @@ def _ranked(
     shapes: Sequence[Tensor],
     beside: tuple[Response, Sequence[Tensor]] | None,
 ) -> list[tuple[int, tuple[float, ...]]]:
-    """Some of the shapes by what they leave, least first."""
+    """Some of the shapes by what they leave, least first; all have the same number of columns.
+
+    Squares and products beside the model's own parameters say it all: no shape is ever projected sample by sample.
+    """
     own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
     moved = opened.response(*(shapes[i] for i in numbers))
     if beside is not None:
         moved = moved + beside[0].response(*(beside[1][i] for i in numbers))
-    response = moved.flatten(0, 1).numpy()
+    columns = moved.flatten(0, 1).numpy()
     basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
-    response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)
-    found, first = [], 0
-    for i in numbers:
-        columns = response[:, first : first + shapes[i].shape[-1]]
-        first += columns.shape[1]
-        size = np.linalg.lstsq(columns, left, rcond=1e-8)[0]
-        found.append((float(np.square(left - columns @ size).sum()), i, tuple(size.tolist())))
-    return [(i, size) for _, i, size in sorted(found)]
+    left = left - basis @ (basis.T @ left)
+    each = len(numbers), shapes[numbers[0]].shape[-1]
+    slopes, inside = (left @ columns).reshape(each), (basis.T @ columns).reshape(-1, *each)
+    columns = columns.reshape(-1, *each)
+    squares = np.empty((*each, each[1]))
+    for i, j in np.ndindex(squares.shape[1:]):
+        squares[:, i, j] = np.einsum("nk,nk->k", columns[..., i], columns[..., j])
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(squares, axis1=1, axis2=2), 1e-300))
+    squares -= np.einsum("pki,pkj->kij", inside, inside)
+    # what the model's own parameters do as well leaves rounding alone, and explains nothing
+    share, axes = np.linalg.eigh(squares * unit[:, :, None] * unit[:, None])
+    along = np.einsum("kij,ki->kj", axes, slopes * unit)
+    along = np.where(share > ROUNDING, along / np.maximum(share, ROUNDING), 0.0)
+    size = np.einsum("kij,kj->ki", axes, along) * unit
+    gain = (slopes * size).sum(1)
+    return [(numbers[k], tuple(size[k].tolist())) for k in np.argsort(-gain, kind="stable")]

@@ -22,6 +22,8 @@ PROMISING, STARTS, FINALISTS = 12, 4, 4
 """Effects that are fitted finer, further initial values of the best of them, and effects that are fitted to the end."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted further."""
+LEAST_CLOSED = 0.2
+"""Share of what the best closes of the gap that a candidate has to close to be fitted finer, or on whole records."""
 SAME = 2e-3
 """Costs that differ by less than this share are of one basin."""
 
@@ -103,7 +105,7 @@ def screen(
     ranked = [*_freed(fits, nominal, before, ranked[:1]), *ranked[1:]]
     if not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
-        ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
+        ranked = best_of_each([*ranked, *_from_afar(fits, before, ranked, far, tick)], 2)
     return ranked
 
 
@@ -165,7 +167,11 @@ def _finer(
 
 
 def _from_afar(
-    fits: Fits, ranked: Sequence[FittedModel], far: Sequence[Task], tick: Callable[[], object]
+    fits: Fits,
+    before: FittedModel,
+    ranked: Sequence[FittedModel],
+    far: Sequence[Task],
+    tick: Callable[[], object],
 ) -> list[FittedModel]:
     """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
 
@@ -181,17 +187,19 @@ def _from_afar(
         some = [task for task, one in zip(far, hidden, strict=True) if one == behind]
         return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
 
-    def further(seen: Sequence[FittedModel], least: float, most: int) -> list[FittedModel]:
-        best = [e for e in seen if e.trained < HOPELESS * least][:most]
+    def further(seen: Sequence[FittedModel], limit: float, most: int) -> list[FittedModel]:
+        best = [e for e in seen if e.trained < limit][:most]
         more = fits.run([Task(e.effects, e.system) for e in best], FINER, tick)
         return [e for e in more if e is not None]
 
-    seen = coarse(fits.over(Horizon("windows", WINDOW)), False)
-    found = further(seen, seen[0].trained if seen else math.inf, PROMISING)
+    short = fits.over(Horizon("windows", WINDOW))
+    seen = coarse(short, False)
+    start = short.run([Task(before.effects, before.system)], FINER)[0] if seen else None
+    found = further(seen, math.inf if start is None else _closing(seen[0].trained, start.trained), PROMISING)
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
-    return [*found, *further(coarse(fits, True), known, STARTS)]
+    return [*found, *further(coarse(fits, True), HOPELESS * known, STARTS)]
 
 
 def _further(
@@ -213,7 +221,7 @@ def _further(
         if not left:
             break
         best = min((e for e in (*ends, *some, *everyone) if e not in done), key=lambda e: e.trained)
-        limit = _limit(best, before) if iterations == FULL or before.effects or best.white else math.inf
+        limit = _limit(best, before, iterations)
         leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends, before)
         left = [e for e in left if e.trained < limit]
         rivals, left = left[:count], left[count:]
@@ -245,9 +253,18 @@ def _further(
     return best_of_each([*ends, *(e for e in (*everyone, *some) if e not in done)], 2)
 
 
-def _limit(best: FittedModel, before: FittedModel) -> float:
+def _limit(best: FittedModel, before: FittedModel, iterations: int) -> float:
     """Mean square of the errors from which a candidate is not worth another fit beside the best."""
-    return max(HOPELESS * best.trained, _closed(best, before))
+    if iterations == FULL:
+        return _closed(best, before)
+    if before.effects or best.white:
+        return max(HOPELESS * best.trained, _closed(best, before))
+    return _closing(best.trained, before.trained)
+
+
+def _closing(best: float, before: float) -> float:
+    """Mean square of the errors from which a candidate closes next to nothing of what the best closes."""
+    return before - LEAST_CLOSED * max(before - best, 0.0)
 
 
 def _closed(best: FittedModel, before: FittedModel) -> float:

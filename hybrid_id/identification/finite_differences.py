@@ -229,6 +229,7 @@ def finite_difference_fit(
     near: Slopes | None = None,
     begin: Slopes | None = None,
     tangents: bool = True,
+    shares: Sequence[float] = STEPS,
 ) -> FitResult:
     """Fit one parameter set and the first states of all rows of a batch.
 
@@ -245,6 +246,7 @@ def finite_difference_fit(
         near: slopes of a model close to the start, to begin with.
         begin: slopes at the start itself, where they are known.
         tangents: whether the result has a Jacobian; without one it has no standard errors, and is had sooner.
+        shares: finite steps, as shares of the parameters, with each of which the fit goes on until it gains nothing.
 
     Raises:
         InputError: nothing to estimate.
@@ -256,9 +258,9 @@ def finite_difference_fit(
     known = near or begin
     jacobian = None if known is None else cost.slopes(point, residual, STEPS[0], known)
     fresh = begin is not None
-    while stage < len(STEPS) and len(history) <= iterations:
+    while stage < len(shares) and len(history) <= iterations:
         if jacobian is None:
-            jacobian, fresh = cost.slopes(point, residual, STEPS[stage]), True
+            jacobian, fresh = cost.slopes(point, residual, shares[stage]), True
         dampings = np.clip(damping * (DAMPINGS if near is None else FEW), LEAST_DAMPING, MOST_DAMPING)
         points = cost.steps(point, residual, jacobian, dampings)
         trials = cost.residuals(points)
@@ -266,7 +268,7 @@ def finite_difference_fit(
         best = int(np.nanargmin(costs))
         gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
         if near is not None and _idle(near, len(history), least, residual + jacobian @ (points[0] - point)):
-            stage = len(STEPS)
+            stage = len(shares)
         elif gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
             stage, jacobian, damping = stage + 1, None if near is None else jacobian, 1e-2
         elif gained < POOR * history[-1] and (near is None or len(history) == 1):
@@ -293,7 +295,7 @@ def finite_difference_fit(
         names=names,
         values=point[:n_f],
         units=tuple(i.unit for i in info),
-        status="converged" if stage == len(STEPS) else "max_iterations",
+        status="converged" if stage == len(shares) else "max_iterations",
         records=batch.names,
         cost=history[-1],
         n_samples=int((batch.weight > 0).sum()),

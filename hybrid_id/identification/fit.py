@@ -153,6 +153,7 @@ def fit(
     seed: int = 0,
     warm: bool = True,
     start_values: Tensor | None = None,
+    x0: Tensor | None = None,
     numbers: Sequence[int] | None = None,
     progress: Progress | None = None,
 ) -> list[FitResult]:
@@ -175,6 +176,8 @@ def fit(
         seed: of the start points.
         warm: whether to fit windows first; switch it off to start a richer model at a simpler one's optimum.
         start_values: start values of all parameters for each set, ``(n_p, G)``, instead of the system's.
+        x0: first states of an earlier fit, ``(R, n_x)``, from whose free runs this one goes on (default: from the
+            measured states at every sample; where the link is hidden, from free runs of the start values).
         numbers: of the sets among all, where others are fitted elsewhere: each draws start points of its own.
         progress: called with (stage, iteration, cost of each set, sets still running); where it returns true, the
             fit ends with the values that it has.
@@ -216,6 +219,11 @@ def fit(
     nodes, alive, each = None, starts, torch.arange(count, device=device)
     if hidden_links(system, batch):  # the guess loads no spring, from which Newton's method goes astray
         nodes = rollout(system, engine, many, theta[:, many_sets])
+    elif x0 is not None:
+        begun = replace(many, x=many.x.clone())
+        begun.x[:, 0] = x0.repeat(starts, 1)
+        run = rollout(system, engine, begun, theta[:, many_sets])
+        nodes = run if bool(torch.isfinite(run).all()) else None
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
         problem = LeastSquares(system, engine, many, many_sets, free, bounds)

@@ -28,6 +28,8 @@ SHARP = 0.1
 """Defects below this share of the residuals need no shooting before the next linearisation."""
 PERFECT = 1e-8
 """Least variance of the weighted residuals: a record that is met to a ten-thousandth of its noise is met."""
+PATIENCE = 4
+"""Trial steps that together have to gain something, where a fit is to end early."""
 STALLED = 1e12
 """Damping at which no step is left."""
 
@@ -277,6 +279,8 @@ class Options:
         tolerance: converged when the next step is shorter than this many standard errors.
         chunk: samples that are integrated in a row between nodes.
         damping: initial Levenberg-Marquardt damping, relative to the diagonal.
+        least_gain: share of the cost beyond the noise's, half a unit a sample, that :data:`PATIENCE` trial steps
+            together have to gain; a set that gains less has stalled.
         closed: whether the end is a free run; a first look at many models may leave small defects between samples.
         loss: loss of the weighted residuals.
     """
@@ -285,6 +289,7 @@ class Options:
     tolerance: float = 0.01
     chunk: int = 8
     damping: float = 1e-3
+    least_gain: float = 0.0
     closed: bool = True
     loss: Loss = field(default_factory=Loss)
 
@@ -507,7 +512,8 @@ class _Descent:
 
     def ended(self, turn: _Turn) -> bool:
         """Let go of the sets that have converged or stalled; whether there were any."""
-        done, stuck = turn.short & (turn.blur < SETTLED), self.damping[self.running] >= STALLED
+        done = turn.short & (turn.blur < SETTLED)
+        stuck = (self.damping[self.running] >= STALLED) | self._gains_little()
         if not bool((done | stuck).any()):
             return False
         self.leave(stuck, "stalled")
@@ -515,6 +521,16 @@ class _Descent:
         self.leave(done | (stuck & (self.nearest[self.running] < 0.3)), "converged")
         self.running = self.running[~(done | stuck)]
         return True
+
+    def _gains_little(self) -> Tensor:
+        """Which of the sets that run have gained too little by their last steps, ``(G',)``."""
+        cost = self.cost[self.running]
+        if len(self.history) <= PATIENCE:
+            return torch.zeros_like(cost, dtype=torch.bool)
+        beyond = (cost - 0.5 * self.data[self.running]).clamp_min(0.0)
+        gain = self.history[-1 - PATIENCE][self.running] - cost
+        # a cost that has risen was too low by open defects: the fit is not where it was
+        return (gain >= 0.0) & (gain < self.options.least_gain * beyond)
 
     def take(self, turn: _Turn) -> None:
         """Try the step of every set that runs, and keep it where the cost falls."""

@@ -198,6 +198,29 @@ def test_perfect_records_are_fitted_to_the_end() -> None:
     np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=1e-4)
 
 
+def test_a_fit_goes_on_from_the_first_states_of_an_earlier_one(batch: Batch) -> None:
+    start = TRUTH.with_values({"J": 6e-5, "F_c": 0.002})
+    (first,) = fit(start, batch, pooled=True)
+    again = Options(max_iterations=3)
+    (on,) = fit(first.system, batch, pooled=True, warm=False, options=again, x0=torch.as_tensor(first.x0))
+    (anew,) = fit(first.system, batch, pooled=True, warm=False, options=again)
+    assert on.history[0] == pytest.approx(first.cost, rel=1e-6)
+    assert anew.history[0] > 1.001 * first.cost  # from the noise of every measured state
+
+
+def test_a_fit_that_leaves_structure_ends_where_it_gains_little(batch: Batch) -> None:
+    lacking = TRUTH.with_specs({"F_c": replace(TRUTH.parameter("F_c").spec, value=0.0, estimate=False)})
+    endless = Options(max_iterations=30, tolerance=0.0)
+    (whole,) = fit(lacking, batch, pooled=True, options=endless)
+    (short,) = fit(lacking, batch, pooled=True, options=replace(endless, least_gain=1e-3))
+    assert short.iterations < whole.iterations and short.status != "max_iterations"
+    assert short.cost < 1.001 * whole.cost
+    # what leaves noise alone goes on: there is nothing beyond it to gain a share of
+    start = TRUTH.with_values({"J": 6e-5, "F_c": 0.002})
+    ends = [fit(start, batch, pooled=True, options=Options(least_gain=share))[0] for share in (0.0, 1e-3)]
+    np.testing.assert_allclose(ends[1].values, ends[0].values, rtol=1e-5)
+
+
 def test_iterations_that_run_out_are_told(batch: Batch) -> None:
     start = TRUTH.with_values({"J": 6e-5, "F_c": 0.002})
     (found,) = fit(start, batch, pooled=True, warm=False, options=Options(max_iterations=2))
