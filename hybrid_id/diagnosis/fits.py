@@ -51,7 +51,7 @@ from hybrid_id.systems.chain import System
 
 BEGINNING = 12
 """Iterations of the fit in windows that the nominal model starts with: its values may be far."""
-COARSE, FINER, FULL = 5, 10, 40
+COARSE, FINER, FULL = 4, 10, 40
 """Iterations of a first coarse fit, of a finer one, and of a fit to the end."""
 AGAIN = 4
 """Iterations of its re-fit without some records."""
@@ -60,7 +60,9 @@ STUCK = 2e-3
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
-"""How closely parameters are held where the model leaves structure; each is tried while it predicts better."""
+"""How closely parameters are held where the model leaves structure; each is tried while it predicts better, and"""
+CLOSER = 0.99
+"""by how much it has to, as a ratio of mean squares: what is held too closely lends its error to the first effect."""
 TRIES = 2
 """Rounds of perturbed restarts of a gear whose link nobody measures."""
 SUBSTEP_RATE = 4000.0
@@ -185,9 +187,10 @@ class Fits:
         again = confirmed(
             best.result, self.batch(best.system), options=Options(tolerance=0.05), kept=self.kept
         )
-        ends = (best.result,) if again is best.result else (best.result, again)
-        judged = [self.run([Task((), end.system, x0=end.x0)], FULL)[0] for end in ends]
-        best = min((e for e in judged if e is not None), key=lambda e: e.result.cost, default=best)
+        if again is not best.result or not best.judged:
+            ends = (best.result,) if again is best.result else (best.result, again)
+            judged = [self.run([Task((), end.system, x0=end.x0)], FULL)[0] for end in ends]
+            best = min((e for e in judged if e is not None), key=lambda e: e.result.cost, default=best)
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
 
@@ -205,16 +208,24 @@ class Fits:
         found, start = None, Task((), system)
         for share in HOLDS:
             end = self.run([replace(start, system=with_priors(start.system, system, free, share))], FULL)[0]
-            if end is None or (found is not None and end.validation.typical >= found.validation.typical):
+            if end is None or (
+                found is not None and end.validation.typical > CLOSER * found.validation.typical
+            ):
                 break
             found, start = end, Task((), end.system, x0=end.result.x0)
         return found
 
-    def slopes(self, system: System, least: float) -> Slopes | None:
-        """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
+    def slopes(self, system: System, least: float, x0: np.ndarray | None = None) -> Slopes | None:
+        """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none.
+
+        Args:
+            system: the model.
+            least: cost that the neighbours have to get below to be of interest.
+            x0: first states that it has been fitted with, ``(R, n_x)`` (default: as measured).
+        """
         if not self.whole:
             return None
-        return replace(slopes_at(system, self.records(system), self.engine), least=least)
+        return replace(slopes_at(system, self.records(system), self.engine, x0), least=least)
 
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None

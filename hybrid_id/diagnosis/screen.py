@@ -22,8 +22,6 @@ PROMISING, STARTS, FINALISTS = 12, 4, 4
 """Effects that are fitted finer, further initial values of the best of them, and effects that are fitted to the end."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted further."""
-LEAST_CLOSED = 0.2
-"""Share of what the best closes of the gap that a candidate has to close to be fitted finer, or on whole records."""
 SAME = 2e-3
 """Costs that differ by less than this share are of one basin."""
 
@@ -195,7 +193,9 @@ def _from_afar(
     short = fits.over(Horizon("windows", WINDOW))
     seen = coarse(short, False)
     start = short.run([Task(before.effects, before.system)], FINER)[0] if seen else None
-    found = further(seen, math.inf if start is None else _closing(seen[0].trained, start.trained), PROMISING)
+    found = further(
+        seen, math.inf if start is None else _half_closed(seen[0].trained, start.trained), PROMISING
+    )
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
@@ -255,16 +255,15 @@ def _further(
 
 def _limit(best: FittedModel, before: FittedModel, iterations: int) -> float:
     """Mean square of the errors from which a candidate is not worth another fit beside the best."""
+    closed = _closed(best, before)
     if iterations == FULL:
-        return _closed(best, before)
-    if before.effects or best.white:
-        return max(HOPELESS * best.trained, _closed(best, before))
-    return _closing(best.trained, before.trained)
+        return closed
+    return min(_half_closed(best.trained, before.trained), max(HOPELESS * best.trained, closed))
 
 
-def _closing(best: float, before: float) -> float:
-    """Mean square of the errors from which a candidate closes next to nothing of what the best closes."""
-    return before - LEAST_CLOSED * max(before - best, 0.0)
+def _half_closed(best: float, before: float) -> float:
+    """Mean square of the errors from which a candidate closes the lesser part of what the best closes."""
+    return before - CRITERIA.major_share * max(before - best, 0.0)
 
 
 def _closed(best: FittedModel, before: FittedModel) -> float:

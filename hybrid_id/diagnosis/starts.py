@@ -26,7 +26,8 @@ def tasks(fits: Fits, before: FittedModel, among: frozenset[Name] | None = None)
         among: the effects; None for the whole catalogue.
     """
     batch = fits.records(before.system)
-    left, near = Residual(before.result, batch), fits.slopes(before.system, before.result.cost)
+    left = Residual(before.result, batch)
+    near = fits.slopes(before.system, before.result.cost, before.result.x0)
     found = []
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():

@@ -35,6 +35,8 @@ DAMPINGS = 10.0 ** np.arange(-2, 4)
 """Dampings that are tried side by side, relative to the last that was best."""
 FEW = DAMPINGS[1:5]
 """Those of a coarse fit."""
+SHORTER = 1e3
+"""Factor of the damping with which a coarse fit is tried once more where it has gained nothing."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e6
 SETTLED = 1e-4
 """A finite step has done its work when the cost falls by less than this share."""
@@ -101,18 +103,21 @@ class Slopes:
     Attributes:
         parameters: of each by its component and symbol, ``(R * T * n_y,)``.
         first: of each state that is not known exactly at the start, by its name, ``(R, T * n_y)``.
+        x0: these states there, by their names, ``(R,)``.
         least: cost that others have to get below to be of any interest.
     """
 
     parameters: Mapping[tuple[str, str], np.ndarray]
     first: Mapping[str, np.ndarray]
+    x0: Mapping[str, np.ndarray]
     least: float = math.inf
 
     def of_rows(self, rows: np.ndarray) -> Slopes:
         """The slopes of some rows of the batch."""
         count = len(next(iter(self.first.values()))) if self.first else 1
         parameters = {k: s.reshape(count, -1)[rows].ravel() for k, s in self.parameters.items()}
-        return replace(self, parameters=parameters, first={k: s[rows] for k, s in self.first.items()})
+        first, x0 = ({k: s[rows] for k, s in of.items()} for of in (self.first, self.x0))
+        return replace(self, parameters=parameters, first=first, x0=x0)
 
 
 class Cost:
@@ -166,7 +171,7 @@ class Cost:
 
         What ``near`` has is taken from there; the rest is simulated.
         """
-        known = near or Slopes({}, {})
+        known = near or Slopes({}, {}, {})
         new = [i for i, key in enumerate(self.keys) if key not in known.parameters]
         loose = [k for k, name in enumerate(self.states) if name not in known.first]
         n_f, rows, value = self.n_f, self.std.shape[1], point[: self.n_f]
@@ -210,13 +215,15 @@ class Cost:
         step = bounded_lm_step(hessian[None], gradient[None], unit, added, low, high)[0]
         return np.clip(point + (step * unit).numpy(), self.low, self.high)
 
-    def shared(self, slopes: np.ndarray) -> Slopes:
+    def shared(self, point: np.ndarray, slopes: np.ndarray) -> Slopes:
         """Slopes at a point, for models that have most of their parameters from this one."""
         rows, data = self.std.shape[1], len(slopes) - slopes.shape[1]
         blocks = slopes[:data, self.n_f :].reshape(rows, data // rows, len(self.loose), rows)
         own = [np.stack([blocks[r, :, k, r] for r in range(rows)]) for k in range(len(self.loose))]
         columns = {key: slopes[:data, i].copy() for i, key in enumerate(self.keys)}
-        return Slopes(columns, dict(zip(self.states, own, strict=True)))
+        x0 = self.first_states(point[None])[0][:, self.loose].T
+        first, x0 = (dict(zip(self.states, of, strict=True)) for of in (own, x0))
+        return Slopes(columns, first, x0)
 
 
 def finite_difference_fit(
@@ -242,7 +249,7 @@ def finite_difference_fit(
         batch: prepared records.
         engine: how a sample is integrated; compiled rollouts make this affordable.
         iterations: steps at most.
-        x0: where the search for the first states starts, ``(R, n_x)`` (default: as measured).
+        x0: where the search for the first states starts, ``(R, n_x)`` (default: those of ``near``, else as measured).
         near: slopes of a model close to the start, to begin with.
         begin: slopes at the start itself, where they are known.
         tangents: whether the result has a Jacobian; without one it has no standard errors, and is had sooner.
@@ -252,7 +259,11 @@ def finite_difference_fit(
         InputError: nothing to estimate.
     """
     cost = Cost(system, batch, engine)
-    point = cost.point(cost.start, batch.x[:, 0].numpy() if x0 is None else x0)
+    if x0 is None:
+        x0 = batch.x[:, 0].numpy().copy()
+        for k, name in enumerate(system.state_names):
+            x0[:, k] = x0[:, k] if near is None else near.x0.get(name, x0[:, k])
+    point = cost.point(cost.start, x0)
     residual = cost.residuals(point[None])[0]
     damping, stage, history = 1e-2, 0, [0.5 * float(residual @ residual)]
     known = near or begin
@@ -269,8 +280,11 @@ def finite_difference_fit(
         gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
         if near is not None and _idle(near, len(history), least, residual + jacobian @ (points[0] - point)):
             stage = len(shares)
-        elif gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
-            stage, jacobian, damping = stage + 1, None if near is None else jacobian, 1e-2
+        elif near is not None and gained < SETTLED * history[-1] and len(history) > 1:
+            # the same slopes have to say something else, by shorter steps, once
+            stage, damping = len(shares) if stage else 1, damping * SHORTER
+        elif near is None and gained < SETTLED * history[-1] and fresh:
+            stage, jacobian, damping = stage + 1, None, 1e-2
         elif gained < POOR * history[-1] and (near is None or len(history) == 1):
             jacobian = None
         else:
@@ -313,7 +327,7 @@ def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | Non
     """Slopes at a model's own values, from first states ``(R, n_x)``, by default the measured ones."""
     cost = Cost(system, batch, engine)
     point = cost.point(cost.start, cost.measured if x0 is None else x0)
-    return cost.shared(cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
+    return cost.shared(point, cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
 
 
 def eliminated(slopes: np.ndarray, n_f: int) -> tuple[np.ndarray, np.ndarray]:

@@ -67,6 +67,20 @@ def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
     assert finite_difference_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
 
 
+def test_a_look_begins_at_the_first_states_of_its_neighbour() -> None:
+    plain = rigid_drive()
+    batch = measured(plain, DRY)
+    batch = replace(batch, x0_std=torch.full_like(batch.x0_std, 0.1))
+    shifted = batch.x[:, 0].numpy() + 0.05
+    near = slopes_at(plain, batch, DRY, shifted)
+    look, own = (finite_difference_fit(plain, batch, engine=DRY, iterations=0, near=n) for n in (near, None))
+    np.testing.assert_allclose(look.x0, shifted)
+    np.testing.assert_allclose(own.x0, batch.x[:, 0].numpy())
+    # one row of them, too
+    some = near.of_rows(np.array([1]))
+    np.testing.assert_allclose([some.x0[name][0] for name in plain.state_names], shifted[1])
+
+
 def test_a_look_that_comes_to_nothing_ends() -> None:
     weight = Gravity(G_l=0.02, q_0=Bounded(0.8, -6.0, 6.0, "rad"))
     for missing, steps in ((False, (1, 2)), (True, (5,))):
