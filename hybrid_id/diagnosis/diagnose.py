@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -200,7 +200,8 @@ class Answer:
         before, after: torques that would explain what the re-fitted and the chosen model leave, best first.
         structural: share of what the chosen model leaves that has a cause.
         varying: parameters that differ from record to record, in words.
-        rejected: effects that were accepted and then were not sure enough to be asserted, ``name at place``.
+        rejected: effects that were accepted and then were not sure enough to be asserted, ``name at place``, each with
+            the record that alone is better for it (empty where several are, or none).
         wrong_values: whether the nominal values err clearly more than the re-fitted ones.
         relative_std: smallest relative standard error of what the records identify of the nominal model, where
             nothing is named; 0 elsewhere.
@@ -214,7 +215,7 @@ class Answer:
     after: tuple[Location, ...]
     structural: float
     varying: tuple[str, ...]
-    rejected: tuple[str, ...]
+    rejected: Mapping[str, str]
     wrong_values: bool
     relative_std: float
 
@@ -420,7 +421,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     The last effect that is not sure enough is dropped, and both are done again for the rest.
     """
     searched, before = found, tuple(locate(fits, found.base))
-    rejected = [_in_words(name) for name in found.refuted]
+    rejected = {_in_words(name): "" for name in found.refuted}
     while True:
         chosen = found.chosen
         after = before if chosen is found.base else tuple(locate(fits, chosen))
@@ -435,17 +436,18 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rejected.append(_in_words(name))
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
-        found = replace(found, chosen=rest or found.base)
+        rest = rest or found.base
+        alone = chosen.validation.alone_better(rest.validation)
+        judges = fits.dataset.validation or fits.dataset.train
+        rejected[_in_words(name)] = "" if alone is None else judges[alone].name
+        found = replace(found, chosen=rest)
     nothing = not found.chosen.effects and not graded.unknown and not varying
     identified = check_identifiability(fits.dataset, system) if nothing else None
     std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
-    return Answer(
-        fits, searched, found, graded, before, after, structural, varying, tuple(rejected), wrong, std
-    )
+    return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
 
 
 def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -455,8 +457,8 @@ def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: i
     """
     again = freeze(answer.fits, searched, system, seed=seed)
     chosen = [_in_words(name) for name in again.found.chosen.effects]
-    words = dict.fromkeys((*answer.rejected, *again.rejected))
-    return replace(again, rejected=tuple(one for one in words if one not in chosen))
+    words = {**answer.rejected, **again.rejected}
+    return replace(again, rejected={one: record for one, record in words.items() if one not in chosen})
 
 
 def _in_words(name: Name) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -65,7 +66,8 @@ class Diagnosis:
         residual_after: the same for the corrected model.
         implausible: parameters that the re-fit has moved beyond data-sheet tolerance, in words.
         experiments: records that together would distinguish tied effects, the best first; empty without ties.
-        rejected: effects that were accepted by the search and are not sure enough to be asserted, in words.
+        rejected: effects that were accepted by the search and are not sure enough to be asserted, in words, each with
+            the record that alone is better for it (empty where several are, or none).
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
             one common set does not; the chosen model then has the set of the record that fits the others best.
         not_identifiable: changes of the chosen model's parameters that these records do not see, in words.
@@ -104,7 +106,7 @@ class Diagnosis:
     residual_after: tuple[Location, ...]
     implausible: tuple[str, ...]
     experiments: tuple[Experiment, ...]
-    rejected: tuple[str, ...]
+    rejected: Mapping[str, str]
     varying: tuple[str, ...]
     not_identifiable: tuple[str, ...]
     confounded: tuple[str, ...]
@@ -265,6 +267,7 @@ class Diagnosis:
             "changes": self.changes,
             "implausible_parameters": list(self.implausible),
             "rejected": [self._named(one) for one in self.rejected],
+            "rejected_better_on": {self._named(one): at for one, at in self.rejected.items() if at},
             "between_record_variation": list(self.varying),
             "not_identifiable": [*self.not_identifiable, *self.confounded],
             "skews": list(self.skews),

@@ -361,12 +361,15 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
 
 
 def rejected_lines(diagnosis: Diagnosis, why: str = "improbable, or of a size that may be zero") -> list[str]:
-    """Effects that the search accepted and that are not sure enough to be asserted, as one line."""
-    if not diagnosis.rejected:
-        return []
-    split = (one.partition(" at ") for one in diagnosis.rejected)
-    words = joined([_at(name, where, diagnosis.model) for name, _, where in split])
-    return [f"rejected: {words}: {why}."]
+    """Effects that the search accepted and that are not sure enough to be asserted, a line for each reason."""
+    found: dict[str, list[str]] = {}
+    for one, record in diagnosis.rejected.items():
+        name, _, where = one.partition(" at ")
+        found.setdefault(record, []).append(_at(name, where, diagnosis.model))
+    return [
+        f"rejected: {joined(words)}: " + (f"better on record '{record}' alone." if record else f"{why}.")
+        for record, words in found.items()
+    ]
 
 
 def failed_lines(diagnosis: Diagnosis) -> list[str]:

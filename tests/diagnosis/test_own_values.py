@@ -116,5 +116,5 @@ def test_what_only_looks_missing_is_refuted_by_the_whole_robot(nominal: System) 
         )
         kept = borne_out(dataset, nominal, {"elbow": wrong})["elbow"]
     assert not kept.found.chosen.effects and kept.verdict == "parameters_only"
-    assert kept.rejected == ("spring_load at joint3/load",) and "F_c_elbow" in " ".join(kept.varying)
+    assert list(kept.rejected) == ["spring_load at joint3/load"] and "F_c_elbow" in " ".join(kept.varying)
     assert all(each.probability <= CRITERIA.false_alarms for each in kept.grade.effects)

@@ -27,6 +27,7 @@ from hybrid_id.reporting.diagnosis_words import (
     error_lines,
     headline,
     moved_line,
+    rejected_lines,
     tie_lines,
     value_lines,
     where_line,
@@ -88,7 +89,7 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
             ties=(MANY[:4],),
             implausible=implausible,
             confounded=("kp and temperature1 rise together",),
-            rejected=("delay at joint1/input",),
+            rejected={"delay at joint1/input": ""},
             contradiction="On the test records the corrected model predicts worse than the re-fitted one.",
             horizon=Horizon("windows", 0.5),
         ),
@@ -98,7 +99,7 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
             implausible=implausible,
             changes="A load explains the new values.",
         ),
-        "no_gap": replace(sound, verdict="no_gap", rejected=("delay at joint1/input",)),
+        "no_gap": replace(sound, verdict="no_gap", rejected={"delay at joint1/input": ""}),
         "inconclusive": replace(sound, verdict="inconclusive"),
     }
 
@@ -114,6 +115,17 @@ WORDS = {
     "no_gap": "There is no gap: the re-fitted nominal model leaves white noise",
     "inconclusive": "Inconclusive: too little data. The errors are worth ",
 }
+
+
+def test_what_is_rejected_says_which_record_alone_is_better_for_it(sound) -> None:
+    doubtful = {
+        "delay at joint1/input": "",
+        "cogging at joint1/motor": "sweep",
+        "spring_load at joint2/load": "",
+    }
+    first, second = rejected_lines(replace(sound[2], rejected=doubtful))
+    assert first.count("joint") == 2 and first.endswith("may be zero.")
+    assert second == "rejected: cogging (joint 1, in the motor): better on record 'sweep' alone."
 
 
 @pytest.mark.parametrize("verdict", WORDS)
