@@ -29,7 +29,9 @@ SHARP = 0.1
 PERFECT = 1e-8
 """Least variance of the weighted residuals: a record that is met to a ten-thousandth of its noise is met."""
 PATIENCE = 4
-"""Trial steps that together have to gain something, where a fit is to end early."""
+"""Trial steps that together have to gain something, where a fit is to end early, and"""
+LOST = 1e3
+"""cost over the least so far at which it ends, too: closing its defects has shown that it has lost its way."""
 STALLED = 1e12
 """Damping at which no step is left."""
 
@@ -280,7 +282,7 @@ class Options:
         chunk: samples that are integrated in a row between nodes.
         damping: initial Levenberg-Marquardt damping, relative to the diagonal.
         least_gain: share of the cost beyond the noise's, half a unit a sample, that :data:`PATIENCE` trial steps
-            together have to gain; a set that gains less has stalled.
+            together have to gain; a set that gains less has stalled. With 0 it goes on as long as it can.
         closed: whether the end is a free run; a first look at many models may leave small defects between samples.
         loss: loss of the weighted residuals.
     """
@@ -513,7 +515,7 @@ class _Descent:
     def ended(self, turn: _Turn) -> bool:
         """Let go of the sets that have converged or stalled; whether there were any."""
         done = turn.short & (turn.blur < SETTLED)
-        stuck = (self.damping[self.running] >= STALLED) | self._gains_little()
+        stuck = (self.damping[self.running] >= STALLED) | self._comes_to_nothing()
         if not bool((done | stuck).any()):
             return False
         self.leave(stuck, "stalled")
@@ -522,15 +524,17 @@ class _Descent:
         self.running = self.running[~(done | stuck)]
         return True
 
-    def _gains_little(self) -> Tensor:
-        """Which of the sets that run have gained too little by their last steps, ``(G',)``."""
+    def _comes_to_nothing(self) -> Tensor:
+        """Which of the sets that run have gained too little by their last steps, or have lost their way, ``(G',)``."""
         cost = self.cost[self.running]
-        if len(self.history) <= PATIENCE:
+        if self.options.least_gain == 0.0 or len(self.history) <= PATIENCE:
             return torch.zeros_like(cost, dtype=torch.bool)
+        costs = torch.stack(self.history)[:, self.running]
         beyond = (cost - 0.5 * self.data[self.running]).clamp_min(0.0)
-        gain = self.history[-1 - PATIENCE][self.running] - cost
+        gain = costs[-1 - PATIENCE] - cost
         # a cost that has risen was too low by open defects: the fit is not where it was
-        return (gain >= 0.0) & (gain < self.options.least_gain * beyond)
+        little = (gain >= 0.0) & (gain < self.options.least_gain * beyond)
+        return little | (cost > LOST * costs.amin(0))
 
     def take(self, turn: _Turn) -> None:
         """Try the step of every set that runs, and keep it where the cost falls."""

@@ -16,8 +16,14 @@ from scipy.optimize import least_squares
 from hybrid_id.components import Backlash, Stribeck
 from hybrid_id.components.load.spring import Spring
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit, fit_records, start_points
-from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.fit import fit, fit_records, make_bounds, start_points
+from hybrid_id.identification.least_squares import (
+    PATIENCE,
+    LeastSquares,
+    Options,
+    _Descent,
+    free_parameters,
+)
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import sensitivities
 from hybrid_id.parameters import Bounded
@@ -219,6 +225,16 @@ def test_a_fit_that_leaves_structure_ends_where_it_gains_little(batch: Batch) ->
     start = TRUTH.with_values({"J": 6e-5, "F_c": 0.002})
     ends = [fit(start, batch, pooled=True, options=Options(least_gain=share))[0] for share in (0.0, 1e-3)]
     np.testing.assert_allclose(ends[1].values, ends[0].values, rtol=1e-5)
+
+
+def test_a_fit_that_has_lost_its_way_ends(batch: Batch) -> None:
+    free = free_parameters(TRUTH)
+    sets = torch.zeros(batch.rows, dtype=torch.long)
+    problem = LeastSquares(TRUTH, Engine(), batch, sets, free, make_bounds(TRUTH, free))
+    for share, ends in ((1e-3, True), (0.0, False)):
+        descent = _Descent(problem, TRUTH.theta().detach()[:, None], Options(least_gain=share), None)
+        descent.history = [1e-4 * descent.cost] * (PATIENCE + 1)
+        assert bool(descent._comes_to_nothing()) is ends
 
 
 def test_iterations_that_run_out_are_told(batch: Batch) -> None:
