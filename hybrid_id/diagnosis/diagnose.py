@@ -201,7 +201,7 @@ class Answer:
         structural: share of what the chosen model leaves that has a cause.
         varying: parameters that differ from record to record, in words.
         rejected: effects that were accepted and then were not sure enough to be asserted, ``name at place``, each with
-            the record that alone is better for it (empty where several are, or none).
+            the record without which it predicts no better (empty where there is none).
         wrong_values: whether the nominal values err clearly more than the re-fitted ones.
         relative_std: smallest relative standard error of what the records identify of the nominal model, where
             nothing is named; 0 elsewhere.
@@ -438,9 +438,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         name = unsure[-1]
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         rest = rest or found.base
-        alone = chosen.validation.alone_better(rest.validation)
-        judges = fits.dataset.validation or fits.dataset.train
-        rejected[_in_words(name)] = "" if alone is None else judges[alone].name
+        rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
         found = replace(found, chosen=rest)
     nothing = not found.chosen.effects and not graded.unknown and not varying
     identified = check_identifiability(fits.dataset, system) if nothing else None
@@ -448,6 +446,14 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
     return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
+
+
+def _rests_on(fits: Fits, richer: FittedModel, simpler: FittedModel) -> str:
+    """Name of the record without which a model predicts no better than a simpler one; empty where there is none."""
+    if not (richer.judged and simpler.judged):
+        return ""
+    record = richer.validation.rests_on(simpler.validation)
+    return "" if record is None else (fits.dataset.validation or fits.dataset.train)[record].name
 
 
 def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: int = 0) -> Answer:

@@ -166,7 +166,7 @@ class Fits:
         return astray([model.result], self.records(model.system))
 
     def base(self, system: System, *, free: bool = False) -> FittedModel:
-        """The nominal model, fitted from a fit in windows and from its nominal values, whichever ends lower.
+        """The nominal model, fitted from a fit in windows and, where that leaves structure, from its own values, too.
 
         Where it leaves structure its parameters are held (:func:`with_priors`), unless they are to be ``free``. How
         well it predicts each record says how much that counts in all later comparisons.
@@ -187,10 +187,10 @@ class Fits:
         again = confirmed(
             best.result, self.batch(best.system), options=Options(tolerance=0.05), kept=self.kept
         )
-        if again is not best.result or not best.judged:
-            ends = (best.result,) if again is best.result else (best.result, again)
-            judged = [self.run([Task((), end.system, x0=end.x0)], FULL)[0] for end in ends]
-            best = min((e for e in judged if e is not None), key=lambda e: e.result.cost, default=best)
+        left = [end for end in (best.result, again) if end is not best.result or not best.judged]
+        ends = self.run([Task((), end.system, x0=end.x0) for end in left], FULL)
+        judged = [end for end in (best, *ends) if end is not None and end.judged]
+        best = min(judged, key=lambda e: e.result.cost, default=best)
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
 
@@ -207,7 +207,11 @@ class Fits:
         """The nominal model with its parameters held as closely as predicts records left out best."""
         found, start = None, Task((), system)
         for share in HOLDS:
-            end = self.run([replace(start, system=with_priors(start.system, system, free, share))], FULL)[0]
+            held = replace(start, system=with_priors(start.system, system, free, share))
+            end = self.run([held], FULL)[0]
+            if end is None and found is None:  # its nominal values diverge, say
+                free_held = with_priors(free.system, system, free, share)
+                end = self.run([Task((), free_held, x0=free.result.x0)], FULL)[0]
             if end is None or (
                 found is not None and end.validation.typical > CLOSER * found.validation.typical
             ):

@@ -67,7 +67,7 @@ class Diagnosis:
         implausible: parameters that the re-fit has moved beyond data-sheet tolerance, in words.
         experiments: records that together would distinguish tied effects, the best first; empty without ties.
         rejected: effects that were accepted by the search and are not sure enough to be asserted, in words, each with
-            the record that alone is better for it (empty where several are, or none).
+            the record without which it predicts no better (empty where there is none).
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
             one common set does not; the chosen model then has the set of the record that fits the others best.
         not_identifiable: changes of the chosen model's parameters that these records do not see, in words.
@@ -267,7 +267,7 @@ class Diagnosis:
             "changes": self.changes,
             "implausible_parameters": list(self.implausible),
             "rejected": [self._named(one) for one in self.rejected],
-            "rejected_better_on": {self._named(one): at for one, at in self.rejected.items() if at},
+            "rejected_rests_on": {self._named(one): at for one, at in self.rejected.items() if at},
             "between_record_variation": list(self.varying),
             "not_identifiable": [*self.not_identifiable, *self.confounded],
             "skews": list(self.skews),

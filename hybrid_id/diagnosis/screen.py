@@ -173,6 +173,7 @@ def _from_afar(
 ) -> list[FittedModel]:
     """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
 
+    What closes the lesser part of what the best closes there, beside the model before, is not fitted to whole records.
     Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
     of whole ones instead, of which those are let go that stay far behind what has been found.
     """
@@ -185,21 +186,21 @@ def _from_afar(
         some = [task for task, one in zip(far, hidden, strict=True) if one == behind]
         return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
 
-    def further(seen: Sequence[FittedModel], limit: float, most: int) -> list[FittedModel]:
-        best = [e for e in seen if e.trained < limit][:most]
-        more = fits.run([Task(e.effects, e.system) for e in best], FINER, tick)
+    def further(some: Sequence[FittedModel]) -> list[FittedModel]:
+        more = fits.run([Task(e.effects, e.system) for e in some], FINER, tick)
         return [e for e in more if e is not None]
 
     short = fits.over(Horizon("windows", WINDOW))
     seen = coarse(short, False)
     start = short.run([Task(before.effects, before.system)], FINER)[0] if seen else None
-    found = further(
-        seen, math.inf if start is None else _half_closed(seen[0].trained, start.trained), PROMISING
-    )
+    part = 1.0 - CRITERIA.major_share
+    half = math.inf if start is None else _open(seen[0].trained, start.trained, part)
+    found = further([e for e in seen if e is seen[0] or e.trained < half][:PROMISING])
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
-    return [*found, *further(coarse(fits, True), HOPELESS * known, STARTS)]
+    behind = [e for e in coarse(fits, True) if e.trained < HOPELESS * known]
+    return [*found, *further(behind[:STARTS])]
 
 
 def _further(
@@ -223,7 +224,7 @@ def _further(
         best = min((e for e in (*ends, *some, *everyone) if e not in done), key=lambda e: e.trained)
         limit = _limit(best, before, iterations)
         leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends, before)
-        left = [e for e in left if e.trained < limit]
+        left = [e for e in left if e is best or e.trained < limit]
         rivals, left = left[:count], left[count:]
         starts = {e: e for e in rivals}
         if iterations == FULL:
@@ -255,20 +256,21 @@ def _further(
 
 def _limit(best: FittedModel, before: FittedModel, iterations: int) -> float:
     """Mean square of the errors from which a candidate is not worth another fit beside the best."""
-    closed = _closed(best, before)
+    half = _open(best.trained, before.trained, 1.0 - CRITERIA.major_share)
     if iterations == FULL:
-        return closed
-    return min(_half_closed(best.trained, before.trained), max(HOPELESS * best.trained, closed))
-
-
-def _half_closed(best: float, before: float) -> float:
-    """Mean square of the errors from which a candidate closes the lesser part of what the best closes."""
-    return before - CRITERIA.major_share * max(before - best, 0.0)
+        return _no_rival(best, before) if best.no_structure else half
+    return min(half, max(HOPELESS * best.trained, _closed(best, before)))
 
 
 def _closed(best: FittedModel, before: FittedModel) -> float:
-    open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
-    return best.trained + open_ * max(before.trained - best.trained, 0.0)
+    """Mean square of the errors from which a candidate leaves too much open of what the best closes."""
+    share = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
+    return _open(best.trained, before.trained, share)
+
+
+def _open(best: float, before: float, share: float) -> float:
+    """Mean square of the errors of what leaves a share open of what the best closes."""
+    return best + share * max(before - best, 0.0)
 
 
 def _no_rival(best: FittedModel, before: FittedModel) -> float:

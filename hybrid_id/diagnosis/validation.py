@@ -80,12 +80,11 @@ class Validation:
         """Share of another model's mean square by which this one's is lower."""
         return 1.0 - self.error / max(simpler.error, 1e-300)
 
-    def alone_better(self, simpler: Validation) -> int | None:
-        """Number of the record without which this one predicts the others no better than a simpler model, if any."""
+    def rests_on(self, simpler: Validation) -> int | None:
+        """Number of the record without which this one predicts no better than a simpler model, None where none is."""
         gain = np.bincount(self.record, simpler.blocks - self.blocks)
         best = int(gain.argmax())
-        alone = len(gain) > 2 and gain[best] > 0.0 and gain.sum() <= gain[best]
-        return best if alone else None
+        return best if len(gain) > 2 and 0.0 < gain.sum() <= gain[best] else None
 
     def z(self, other: Validation) -> float:
         """By how many standard errors this one predicts better than another: mean relative difference of their blocks.

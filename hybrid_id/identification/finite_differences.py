@@ -267,8 +267,8 @@ def finite_difference_fit(
     residual = cost.residuals(point[None])[0]
     damping, stage, history = 1e-2, 0, [0.5 * float(residual @ residual)]
     known = near or begin
-    jacobian = None if known is None else cost.slopes(point, residual, STEPS[0], known)
-    fresh = begin is not None
+    jacobian = None if known is None else cost.slopes(point, residual, shares[0], known)
+    fresh, shorter = begin is not None, False
     while stage < len(shares) and len(history) <= iterations:
         if jacobian is None:
             jacobian, fresh = cost.slopes(point, residual, shares[stage]), True
@@ -281,8 +281,7 @@ def finite_difference_fit(
         if near is not None and _idle(near, len(history), least, residual + jacobian @ (points[0] - point)):
             stage = len(shares)
         elif near is not None and gained < SETTLED * history[-1] and len(history) > 1:
-            # the same slopes have to say something else, by shorter steps, once
-            stage, damping = len(shares) if stage else 1, damping * SHORTER
+            stage, shorter = len(shares) if shorter else stage, not shorter
         elif near is None and gained < SETTLED * history[-1] and fresh:
             stage, jacobian, damping = stage + 1, None, 1e-2
         elif gained < POOR * history[-1] and (near is None or len(history) == 1):
@@ -292,6 +291,8 @@ def finite_difference_fit(
             fresh = False
         if gained > 0:
             point, residual, damping = points[best], trials[best], float(dampings[best])
+        if shorter and gained < SETTLED * history[-1]:  # the same slopes are tried by shorter steps, once
+            damping *= SHORTER
         history.append(least)
     shape, n_f = batch.y.shape, cost.n_f
     found: tuple[np.ndarray, ...] = ()
@@ -299,7 +300,7 @@ def finite_difference_fit(
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
     if tangents:
         if jacobian is None or near is None:
-            jacobian = cost.slopes(point, residual, STEPS[-1])
+            jacobian = cost.slopes(point, residual, shares[-1])
         reduced = -eliminated(jacobian, n_f)[0][: batch.y.numel()].reshape(*shape, n_f)
         found = tuple(part[k] for part, k in zip(reduced, keep, strict=True))
     info = [system.table[i] for i in cost.rollouts.free]

@@ -176,8 +176,9 @@ def fit(
         seed: of the start points.
         warm: whether to fit windows first; switch it off to start a richer model at a simpler one's optimum.
         start_values: start values of all parameters for each set, ``(n_p, G)``, instead of the system's.
-        x0: first states of an earlier fit, ``(R, n_x)``, from whose free runs this one goes on (default: from the
-            measured states at every sample; where the link is hidden, from free runs of the start values).
+        x0: first states of an earlier fit, ``(R, n_x)``, from whose free runs this one goes on, where they stay finite;
+            by default from the measured states at every sample. Where the link is hidden it begins with free runs
+            from the batch's first states, whatever these are.
         numbers: of the sets among all, where others are fitted elsewhere: each draws start points of its own.
         progress: called with (stage, iteration, cost of each set, sets still running); where it returns true, the
             fit ends with the values that it has.
@@ -223,7 +224,7 @@ def fit(
         begun = replace(many, x=many.x.clone())
         begun.x[:, 0] = x0.repeat(starts, 1)
         run = rollout(system, engine, begun, theta[:, many_sets])
-        nodes = run if bool(torch.isfinite(run).all()) else None
+        nodes = torch.where(run.isfinite().all(2).all(1)[:, None, None], run, many.x)
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
         problem = LeastSquares(system, engine, many, many_sets, free, bounds)

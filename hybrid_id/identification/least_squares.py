@@ -515,13 +515,13 @@ class _Descent:
     def ended(self, turn: _Turn) -> bool:
         """Let go of the sets that have converged or stalled; whether there were any."""
         done = turn.short & (turn.blur < SETTLED)
-        stuck = (self.damping[self.running] >= STALLED) | self._comes_to_nothing()
-        if not bool((done | stuck).any()):
+        stuck, idle = self.damping[self.running] >= STALLED, self._comes_to_nothing()
+        if not bool((done | stuck | idle).any()):
             return False
-        self.leave(stuck, "stalled")
+        self.leave(stuck | idle, "stalled")
         # kinks of dry friction can end the descent a fraction of a standard error early
         self.leave(done | (stuck & (self.nearest[self.running] < 0.3)), "converged")
-        self.running = self.running[~(done | stuck)]
+        self.running = self.running[~(done | stuck | idle)]
         return True
 
     def _comes_to_nothing(self) -> Tensor:

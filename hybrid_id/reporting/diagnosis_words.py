@@ -367,7 +367,7 @@ def rejected_lines(diagnosis: Diagnosis, why: str = "improbable, or of a size th
         name, _, where = one.partition(" at ")
         found.setdefault(record, []).append(_at(name, where, diagnosis.model))
     return [
-        f"rejected: {joined(words)}: " + (f"better on record '{record}' alone." if record else f"{why}.")
+        f"rejected: {joined(words)}: {why}" + (f"; without record '{record}' no better." if record else ".")
         for record, words in found.items()
     ]
 

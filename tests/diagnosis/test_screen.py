@@ -10,9 +10,11 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
+from hybrid_id.diagnosis.fits import FINER, FULL
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
     _judged_below,
+    _limit,
     best_of_each,
     effects_of,
     promising,
@@ -65,6 +67,23 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
     assert simplest_first(sure, small) == sure
     assert simplest_first(sure, large) == [bias, sure[0], weight]
+
+
+def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
+    before: Any = Fitted((), 5.0)
+
+    def limit(error: float, iterations: int, **other: Any) -> float:
+        best: Any = Fitted((("spring_load", "joint1/load"),), error, **other)
+        return _limit(best, before, iterations)
+
+    # half of what the best closes where it leaves structure
+    assert limit(1.0, FINER, no_structure=False) == limit(1.0, FULL, no_structure=False) == pytest.approx(3.0)
+    # beside one that leaves none: what may come down to it yet, and to the end its rivals alone
+    assert limit(1.0, FINER) == pytest.approx(2.5)
+    assert limit(1.0, FULL) == pytest.approx(1.4)
+    assert (
+        limit(4.8, FULL) > 4.8 / 0.9
+    )  # a rival of one that closes little is what the records may not distinguish
 
 
 def test_rivals_are_judged_unless_records_left_out_bear_out_what_leaves_no_structure() -> None:

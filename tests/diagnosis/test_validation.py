@@ -251,11 +251,12 @@ def test_a_draw_of_records_weighs_them_whole_and_lacks_none() -> None:
         assert draws.mean(2).var(0).mean() == pytest.approx(spread, rel=0.2)
 
 
-def test_the_record_that_alone_is_better_is_told() -> None:
+def test_the_record_that_an_effect_rests_on_is_told() -> None:
     def of(*sizes: float) -> Validation:
         return validation([np.full((100, 1), size) for size in sizes], 0.01, ["a", "b", "c"])
 
     simpler = of(2.0, 2.0, 2.0)
-    assert of(1.0, 2.1, 2.0).alone_better(simpler) == 0
-    assert of(1.0, 2.1, 1.8).alone_better(simpler) is None  # others are better, too
-    assert of(2.1, 2.1, 2.1).alone_better(simpler) is None  # none is
+    assert of(1.0, 2.1, 2.0).rests_on(simpler) == 0
+    assert of(1.0, 1.5, 2.5).rests_on(simpler) == 0  # without the first the third outweighs the second
+    assert of(1.0, 2.1, 1.8).rests_on(simpler) is None
+    assert of(2.1, 2.1, 2.1).rests_on(simpler) is None  # it rests on nothing

@@ -212,6 +212,15 @@ def test_a_fit_goes_on_from_the_first_states_of_an_earlier_one(batch: Batch) -> 
     (anew,) = fit(first.system, batch, pooled=True, warm=False, options=again)
     assert on.history[0] == pytest.approx(first.cost, rel=1e-6)
     assert anew.history[0] > 1.001 * first.cost  # from the noise of every measured state
+    # several starts begin there, too; a row that leaves all bounds begins at its measured states
+    (many,) = fit(
+        first.system, batch, pooled=True, warm=False, starts=3, options=again, x0=torch.as_tensor(first.x0)
+    )
+    assert many.cost <= on.cost * (1 + 1e-9)
+    lost = torch.as_tensor(first.x0).clone()
+    lost[0] = torch.nan
+    (found,) = fit(first.system, batch, pooled=True, warm=False, options=again, x0=lost)
+    assert found.cost == pytest.approx(first.cost, rel=1e-3)
 
 
 def test_a_fit_that_leaves_structure_ends_where_it_gains_little(batch: Batch) -> None:
