@@ -255,11 +255,13 @@ def _further(
 
 
 def _limit(best: FittedModel, before: FittedModel, iterations: int) -> float:
-    """Mean square of the errors from which a candidate is not worth another fit beside the best."""
+    """Mean square of the errors from which a candidate is not worth another fit beside the best.
+
+    It is worth one as a rival of what may be accepted, and a coarse one where it may come down to it yet.
+    """
     half = _open(best.trained, before.trained, 1.0 - CRITERIA.major_share)
-    if iterations == FULL:
-        return _no_rival(best, before) if best.no_structure else half
-    return min(half, max(HOPELESS * best.trained, _closed(best, before)))
+    rival = _no_rival(best, before) if promising(best, before) else half
+    return rival if iterations == FULL else max(rival, min(half, HOPELESS * best.trained))
 
 
 def _closed(best: FittedModel, before: FittedModel) -> float:
@@ -274,7 +276,7 @@ def _open(best: float, before: float, share: float) -> float:
 
 
 def _no_rival(best: FittedModel, before: FittedModel) -> float:
-    """Mean square of the errors from which no candidate is a rival of one that leaves no structure."""
+    """Mean square of the errors from which no candidate is a rival: it errs clearly more, or leaves too much open."""
     return max(best.trained / (1.0 - CRITERIA.distinct_fall) ** 2, _closed(best, before))
 
 

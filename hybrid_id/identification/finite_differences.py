@@ -259,11 +259,7 @@ def finite_difference_fit(
         InputError: nothing to estimate.
     """
     cost = Cost(system, batch, engine)
-    if x0 is None:
-        x0 = batch.x[:, 0].numpy().copy()
-        for k, name in enumerate(system.state_names):
-            x0[:, k] = x0[:, k] if near is None else near.x0.get(name, x0[:, k])
-    point = cost.point(cost.start, x0)
+    point = cost.point(cost.start, _first(system, batch, near) if x0 is None else x0)
     residual = cost.residuals(point[None])[0]
     damping, stage, history = 1e-2, 0, [0.5 * float(residual @ residual)]
     known = near or begin
@@ -322,6 +318,14 @@ def finite_difference_fit(
         engine=cost.rollouts.engine,
         history=tuple(history),
     )
+
+
+def _first(system: System, batch: Batch, near: Slopes | None) -> np.ndarray:
+    """First states as measured, but for those that a neighbouring model's fit has found, ``(R, n_x)``."""
+    x0 = batch.x[:, 0].numpy().copy()
+    for k, name in enumerate(system.state_names):
+        x0[:, k] = x0[:, k] if near is None else near.x0.get(name, x0[:, k])
+    return x0
 
 
 def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | None = None) -> Slopes:

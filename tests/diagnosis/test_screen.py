@@ -76,14 +76,14 @@ def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
         best: Any = Fitted((("spring_load", "joint1/load"),), error, **other)
         return _limit(best, before, iterations)
 
-    # half of what the best closes where it leaves structure
+    # half of what the best closes where it leaves structure, and what the records may not distinguish from it
     assert limit(1.0, FINER, no_structure=False) == limit(1.0, FULL, no_structure=False) == pytest.approx(3.0)
+    assert limit(4.0, FULL, no_structure=False) == pytest.approx(4.0 / 0.89**2)
     # beside one that leaves none: what may come down to it yet, and to the end its rivals alone
     assert limit(1.0, FINER) == pytest.approx(2.5)
     assert limit(1.0, FULL) == pytest.approx(1.4)
-    assert (
-        limit(4.8, FULL) > 4.8 / 0.9
-    )  # a rival of one that closes little is what the records may not distinguish
+    # one that will not be accepted has no rivals
+    assert limit(4.96, FULL) == pytest.approx(4.98)
 
 
 def test_rivals_are_judged_unless_records_left_out_bear_out_what_leaves_no_structure() -> None:
