@@ -182,25 +182,26 @@ def _from_afar(
     batch = fits.records(far[0].system)  # which links are measured is the same for every model
     hidden = [hidden_links(task.system, batch) for task in far]
 
-    def first(among: Fits, behind: bool, iterations: int) -> list[FittedModel]:
+    def coarse(among: Fits, behind: bool) -> list[FittedModel]:
         some = [task for task, one in zip(far, hidden, strict=True) if one == behind]
-        return best_of_each([e for e in among.run(some, iterations, tick) if e is not None], STARTS)
+        return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
 
-    def further(some: Sequence[FittedModel]) -> list[FittedModel]:
-        more = fits.run([Task(e.effects, e.system) for e in some], FINER, tick)
+    def further(among: Fits, some: Sequence[FittedModel]) -> list[FittedModel]:
+        more = among.run([Task(e.effects, e.system) for e in some], FINER, tick)
         return [e for e in more if e is not None]
 
     short = fits.over(Horizon("windows", WINDOW))
-    seen = first(short, False, FINER)  # from so far a few steps do not tell yet who ends where
+    # from so far a few steps do not tell yet who ends where
+    seen = best_of_each(further(short, coarse(short, False)[:PROMISING]), STARTS)
     start = short.run([Task(before.effects, before.system)], FINER)[0] if seen else None
     part = 1.0 - CRITERIA.major_share
     half = math.inf if start is None else _open(seen[0].trained, start.trained, part)
-    found = further([e for e in seen if e is seen[0] or e.trained < half][:PROMISING])
+    found = further(fits, [e for e in seen if e is seen[0] or e.trained < half])
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
-    behind = [e for e in first(fits, True, COARSE) if e.trained < HOPELESS * known]
-    return [*found, *further(behind[:STARTS])]
+    behind = [e for e in coarse(fits, True) if e.trained < HOPELESS * known]
+    return [*found, *further(fits, behind[:STARTS])]
 
 
 def _further(
