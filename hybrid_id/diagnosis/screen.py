@@ -24,6 +24,10 @@ HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted further."""
 SAME = 2e-3
 """Costs that differ by less than this share are of one basin."""
+SURE = 2.0
+"""Factor on the standard errors that distinguish two candidates by records left out, for errors of the fits to do."""
+FURTHER = 1e-2
+"""Share of the cost that a further fit along ripples has to gain, for another one to follow."""
 
 Progress = Callable[[str, int, int], object]
 
@@ -101,8 +105,13 @@ def screen(
     coarse = best_of_each([one for one in fits.run(near, COARSE, tick) if one is not None], STARTS)
     ranked = _finer(fits, nominal, before, coarse, tick)
     ranked = [*_freed(fits, nominal, before, ranked[:1]), *ranked[1:]]
-    if not (ranked and ranked[0].white):
+    if not (ranked and ranked[0].no_structure):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
+        if fits.whole and ranked and over_angle(ranked[0].effects):
+            # over whole records any wave takes some of what another one leaves, over short windows the right one most
+            seen = fits.records(before.system)
+            own = [task for task in near if task.effects == ranked[0].effects]
+            far += [task for task in own if not hidden_links(task.system, seen)]
         ranked = best_of_each([*ranked, *_from_afar(fits, before, ranked, far, tick)], 2)
     return ranked
 
@@ -223,9 +232,8 @@ def _further(
         if not left:
             break
         best = min((e for e in (*ends, *some, *everyone) if e not in done), key=lambda e: e.trained)
-        limit = _limit(best, before, iterations)
         leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends, before)
-        left = [e for e in left if e is best or e.trained < limit]
+        left = [e for e in left if e is best or _worth_it(e, best, before, iterations)]
         rivals, left = left[:count], left[count:]
         starts = {e: e for e in rivals}
         if iterations == FULL:
@@ -255,14 +263,20 @@ def _further(
     return best_of_each([*ends, *(e for e in (*everyone, *some) if e not in done)], 2)
 
 
-def _limit(best: FittedModel, before: FittedModel, iterations: int) -> float:
-    """Mean square of the errors from which a candidate is not worth another fit beside the best.
+def _worth_it(one: FittedModel, best: FittedModel, before: FittedModel, iterations: int) -> bool:
+    """Whether a candidate is worth another fit beside the best.
 
-    It is worth one as a rival of what may be accepted, and a coarse one where it may come down to it yet.
+    It is as a rival of what may be accepted, which the errors of the fits themselves do not surely tell from it; and
+    before the last fit where it may come down to it yet.
     """
-    half = _open(best.trained, before.trained, 1.0 - CRITERIA.major_share)
-    rival = _no_rival(best, before) if promising(best, before) else half
-    return rival if iterations == FULL else max(rival, min(half, HOPELESS * best.trained))
+    near = min(_open(best.trained, before.trained, 1.0 - CRITERIA.major_share), HOPELESS * best.trained)
+    if iterations != FULL and one.trained < near:
+        return True
+    if not promising(best, before):
+        return one.trained < near
+    sure = best.no_structure and best.ahead_of(one) > SURE * CRITERIA.distinct_z
+    closed = _closed(best, before) if best.no_structure else near
+    return one.trained < (closed if sure else max(_margin(best), closed))
 
 
 def _closed(best: FittedModel, before: FittedModel) -> float:
@@ -278,7 +292,12 @@ def _open(best: float, before: float, share: float) -> float:
 
 def _no_rival(best: FittedModel, before: FittedModel) -> float:
     """Mean square of the errors from which no candidate is a rival: it errs clearly more, or leaves too much open."""
-    return max(best.trained / (1.0 - CRITERIA.distinct_fall) ** 2, _closed(best, before))
+    return max(_margin(best), _closed(best, before))
+
+
+def _margin(best: FittedModel) -> float:
+    """Mean square of the errors beyond twice the difference at which two candidates are distinct."""
+    return best.trained / (1.0 - CRITERIA.distinct_fall) ** 2
 
 
 def _judged_below(ends: Sequence[FittedModel], before: FittedModel) -> float:
@@ -332,7 +351,7 @@ def _polished(
             if ranked[0].white or not over_angle(ranked[0].effects):
                 break
             again = fits.run([Task(ranked[0].effects, ranked[0].system, x0=ranked[0].result.x0)], FULL)[0]
-            if again is None or again.trained > (1.0 - SAME) * ranked[0].trained:
+            if again is None or again.trained > (1.0 - FURTHER) * ranked[0].trained:
                 break
             ranked = best_of_each([again, *ranked], 2)
     special = fits.run(special_cases(fits, before, ranked[0]), FULL)

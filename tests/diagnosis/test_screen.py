@@ -1,7 +1,7 @@
 """One selection step: which candidates are fitted further, and which leads."""
 
+import importlib
 import math
-import sys
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.fits import FINER, FULL
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
     _judged_below,
-    _limit,
+    _worth_it,
     best_of_each,
     effects_of,
     promising,
@@ -73,17 +73,27 @@ def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
     before: Any = Fitted((), 5.0)
 
     def limit(error: float, iterations: int, **other: Any) -> float:
+        """The largest error, by hundredths, with which a rival is fitted further."""
         best: Any = Fitted((("spring_load", "joint1/load"),), error, **other)
-        return _limit(best, before, iterations)
+        errors = [0.01 * k for k in range(1, 1000)]
+        able = (e for e in errors if _worth_it(cast(Any, Fitted((), e)), best, before, iterations))
+        return max(able)
 
-    # half of what the best closes where it leaves structure, and what the records may not distinguish from it
-    assert limit(1.0, FINER, no_structure=False) == limit(1.0, FULL, no_structure=False) == pytest.approx(3.0)
-    assert limit(4.0, FULL, no_structure=False) == pytest.approx(4.0 / 0.89**2)
+    # half of what the best closes where it leaves structure, and not several times its errors; what the records may not
+    # distinguish from it
+    assert (
+        limit(3.0, FINER, no_structure=False) == limit(3.0, FULL, no_structure=False) == pytest.approx(3.99)
+    )
+    assert limit(1.0, FULL, no_structure=False) == pytest.approx(2.49)
+    assert limit(4.0, FULL, no_structure=False) == pytest.approx(4.0 / 0.89**2, abs=0.01)
     # beside one that leaves none: what may come down to it yet, and to the end its rivals alone
-    assert limit(1.0, FINER) == pytest.approx(2.5)
-    assert limit(1.0, FULL) == pytest.approx(1.4)
+    assert limit(1.0, FINER) == pytest.approx(2.49)
+    assert limit(1.0, FULL) == pytest.approx(1.39)
+    # none beyond a tenth of what it closes that surely errs more, be it by less than laws differ
+    assert limit(4.0, FULL) == pytest.approx(4.0 / 0.89**2, abs=0.01)
+    assert limit(4.0, FULL, z=6.0) == pytest.approx(4.09)
     # one that will not be accepted has no rivals
-    assert limit(4.96, FULL) == pytest.approx(4.98)
+    assert limit(4.96, FULL) == pytest.approx(4.97)
 
 
 def test_rivals_are_judged_unless_records_left_out_bear_out_what_leaves_no_structure() -> None:
@@ -183,7 +193,7 @@ def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatc
             cast(Any, (None, None)), fits, whole, cast(Any, None), cast(Any, None), None
         )
 
-    module = sys.modules["hybrid_id.diagnosis.diagnose"]
+    module = importlib.import_module("hybrid_id.diagnosis.diagnose")
     monkeypatch.setattr(module, "_rivalry", lambda one: one.candidates[0].z)
     monkeypatch.setattr(module, "accepted_ones", lambda one: list(one.candidates))
     # no effect follows whole records; over short ones what was lost there explains next to all
