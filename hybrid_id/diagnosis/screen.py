@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, without_priors
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, with_priors_of, without_priors
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.starts import from_nominal, special_cases, tasks
 from hybrid_id.identification.horizons import Horizon
@@ -112,7 +112,7 @@ def screen(
             seen = fits.records(before.system)
             own = [task for task in near if task.effects == ranked[0].effects]
             far += [task for task in own if not hidden_links(task.system, seen)]
-        ranked = best_of_each([*ranked, *_from_afar(fits, before, ranked, far, tick)], 2)
+        ranked = best_of_each([*ranked, *_from_afar(fits, nominal, before, ranked, far, tick)], 2)
     return ranked
 
 
@@ -175,6 +175,7 @@ def _finer(
 
 def _from_afar(
     fits: Fits,
+    nominal: System,
     before: FittedModel,
     ranked: Sequence[FittedModel],
     far: Sequence[Task],
@@ -182,35 +183,42 @@ def _from_afar(
 ) -> list[FittedModel]:
     """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
 
-    What closes the lesser part of what the best closes there, beside the model before, is not fitted to whole records.
-    Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
-    of whole ones instead, of which those are let go that stay far behind what has been found.
+    There no parameter is held: what is right leaves no structure with its own values, and goes on with these; what
+    leaves some over whole records is held again. What closes the lesser part of what the best closes, beside the model
+    before, is not fitted to whole records. Where the link is hidden behind play no window knows its state: where
+    nothing else explains the records, coarse fits of whole ones instead, of which those are let go that stay far behind
+    what has been found.
     """
     if not far:
         return []
     batch = fits.records(far[0].system)  # which links are measured is the same for every model
     hidden = [hidden_links(task.system, batch) for task in far]
+    seen, behind = ([t for t, one in zip(far, hidden, strict=True) if one == side] for side in (False, True))
 
-    def coarse(among: Fits, behind: bool) -> list[FittedModel]:
-        some = [task for task, one in zip(far, hidden, strict=True) if one == behind]
-        return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
+    def run(among: Fits, some: Sequence[Task], iterations: int) -> list[FittedModel]:
+        return [e for e in among.run(some, iterations, tick) if e is not None]
 
-    def further(among: Fits, some: Sequence[FittedModel]) -> list[FittedModel]:
-        more = among.run([Task(e.effects, e.system) for e in some], FINER, tick)
-        return [e for e in more if e is not None]
+    def free(one: FittedModel | Task) -> Task:
+        return Task(one.effects, without_priors(one.system, nominal))
+
+    def whole(one: FittedModel) -> list[FittedModel]:
+        loose = run(fits, [free(one)], FINER) if one.no_structure else []
+        held = Task(one.effects, with_priors_of(one.system, before.system))
+        return loose if loose and loose[0].no_structure else run(fits, [held], FINER)
 
     short = fits.over(Horizon("windows", WINDOW))
     # from so far a few steps do not tell yet who ends where
-    seen = best_of_each(further(short, coarse(short, False)[:PROMISING]), STARTS)
-    start = short.run([Task(before.effects, before.system)], FINER)[0] if seen else None
+    coarse = best_of_each(run(short, [free(task) for task in seen], COARSE), STARTS)[:PROMISING]
+    finer = best_of_each(run(short, [free(one) for one in coarse], FINER), STARTS)
+    start = run(short, [free(before)], FINER) if finer else []
     part = 1.0 - CRITERIA.major_share
-    half = math.inf if start is None else _open(seen[0].trained, start.trained, part)
-    found = further(fits, [e for e in seen if e is seen[0] or e.trained < half])
+    half = _open(finer[0].trained, start[0].trained, part) if start else math.inf
+    found = [one for e in finer if e is finer[0] or e.trained < half for one in whole(e)]
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
-    behind = [e for e in coarse(fits, True) if e.trained < HOPELESS * known]
-    return [*found, *further(fits, behind[:STARTS])]
+    rivals = [e for e in best_of_each(run(fits, behind, COARSE), STARTS) if e.trained < HOPELESS * known]
+    return [*found, *run(fits, [Task(e.effects, e.system) for e in rivals[:STARTS]], FINER)]
 
 
 def _further(
