@@ -2,7 +2,7 @@
 
 import importlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,9 +10,10 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.fits import FINER, FULL
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
+    _from_afar,
     _judged_below,
     _worth_it,
     best_of_each,
@@ -206,3 +207,44 @@ def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatc
     assert found.best.effects[0][0] == "load_dependent_friction"
     assert taken(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0), 0.01) is None
     assert taken(step(1.1, 1.0), None, 9.0) is not None
+
+
+@pytest.mark.parametrize("structure", [False, True])
+def test_from_afar_nothing_is_held_until_structure_is_left(
+    monkeypatch: pytest.MonkeyPatch, structure: bool
+) -> None:
+    """Over short windows what is right leaves none with its own values, which priors would keep from it."""
+    module = importlib.import_module("hybrid_id.diagnosis.screen")
+    monkeypatch.setattr(module, "hidden_links", lambda system, batch: False)
+    _, nominal = small_case()
+    inertia = nominal.parameter("J").spec
+    held = nominal.with_specs({"J": replace(inertia, prior_mean=inertia.value, prior_std=1e-9)})
+    asked: list[tuple[bool, int, int, bool]] = []
+
+    @dataclass
+    class Fits:
+        whole: bool
+
+        def over(self, horizon: Any) -> "Fits":
+            return Fits(False)
+
+        def records(self, system: Any) -> None:
+            return None
+
+        def run(self, tasks: Any, iterations: int, tick: Any) -> list[Any]:
+            for one in tasks:
+                is_held = one.system.parameter("J").spec.prior_std is not None
+                asked.append((self.whole, iterations, len(one.effects), is_held))
+            left = self.whole and structure
+            return [
+                Fitted(one.effects, 1.0 if one.effects else 9.0, no_structure=not left, system=one.system)
+                for one in tasks
+            ]
+
+    before = Fitted((), 9.0, no_structure=False, system=held)
+    far = [Task((("spring_load", "joint1/load"),), held)]
+    (found,) = _from_afar(cast(Any, Fits(True)), nominal, cast(Any, before), [], far, lambda: None)
+    windows = [(False, COARSE, 1, False), (False, FINER, 1, False), (False, FINER, 0, False)]
+    whole = [(True, FINER, 1, False), *([(True, FINER, 1, True)] if structure else [])]
+    assert asked == [*windows, *whole]
+    assert (found.system.parameter("J").spec.prior_std is not None) == structure
