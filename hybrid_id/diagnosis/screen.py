@@ -11,8 +11,8 @@ from scipy.stats import norm
 
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, with_priors_of, without_priors
-from hybrid_id.diagnosis.model import FittedModel, Name
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, without_priors
+from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.starts import from_nominal, special_cases, tasks
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.windows import hidden_links
@@ -25,9 +25,9 @@ HOPELESS = 2.5
 SAME = 2e-3
 """Costs that differ by less than this share are of one basin."""
 SURE = 2.0
-"""Factor on the standard errors that distinguish two candidates by records left out, for errors of the fits to do."""
+"""Factor on the standard errors that distinguish two candidates, where these are of the fits' own errors."""
 FURTHER = 1e-2
-"""Share of the cost that a further fit along ripples has to gain, for another one to follow."""
+"""Share of the mean square that a further fit along ripples has to gain, for another one to follow."""
 
 Progress = Callable[[str, int, int], object]
 
@@ -107,7 +107,7 @@ def screen(
     ranked = [*_freed(fits, nominal, before, ranked[:1]), *ranked[1:]]
     if not (ranked and ranked[0].no_structure):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
-        if fits.whole and ranked and over_angle(ranked[0].effects):
+        if fits.whole and ranked and over_angle((added_effect(ranked[0], before),)):
             # over whole records any wave takes some of what another one leaves, over short windows the right one most
             seen = fits.records(before.system)
             own = [task for task in near if task.effects == ranked[0].effects]
@@ -183,11 +183,9 @@ def _from_afar(
 ) -> list[FittedModel]:
     """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
 
-    There no parameter is held: what is right leaves no structure with its own values, and goes on with these; what
-    leaves some over whole records is held again. What closes the lesser part of what the best closes, beside the model
-    before, is not fitted to whole records. Where the link is hidden behind play no window knows its state: where
-    nothing else explains the records, coarse fits of whole ones instead, of which those are let go that stay far behind
-    what has been found.
+    What closes the lesser part of what the best closes there, beside the model before, is not fitted to whole records.
+    Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
+    of whole ones instead, of which those are let go that stay far behind what has been found.
     """
     if not far:
         return []
@@ -196,29 +194,45 @@ def _from_afar(
     seen, behind = ([t for t, one in zip(far, hidden, strict=True) if one == side] for side in (False, True))
 
     def run(among: Fits, some: Sequence[Task], iterations: int) -> list[FittedModel]:
-        return [e for e in among.run(some, iterations, tick) if e is not None]
-
-    def free(one: FittedModel | Task) -> Task:
-        return Task(one.effects, without_priors(one.system, nominal))
-
-    def whole(one: FittedModel) -> list[FittedModel]:
-        loose = run(fits, [free(one)], FINER) if one.no_structure else []
-        held = Task(one.effects, with_priors_of(one.system, before.system))
-        return loose if loose and loose[0].no_structure else run(fits, [held], FINER)
+        return best_of_each([e for e in among.run(some, iterations, tick) if e is not None], STARTS)
 
     short = fits.over(Horizon("windows", WINDOW))
+    if without_priors(before.system, nominal).table != before.system.table:
+        found = _free_from_afar(fits, short, nominal, seen, run)
+        if found:
+            return found
     # from so far a few steps do not tell yet who ends where
-    coarse = best_of_each(run(short, [free(task) for task in seen], COARSE), STARTS)[:PROMISING]
-    finer = best_of_each(run(short, [free(one) for one in coarse], FINER), STARTS)
-    start = run(short, [free(before)], FINER) if finer else []
+    coarse = [Task(e.effects, e.system) for e in run(short, seen, COARSE)[:PROMISING]]
+    ends = run(short, coarse, FINER)
+    start = short.run([Task(before.effects, before.system)], FINER)[0] if ends else None
     part = 1.0 - CRITERIA.major_share
-    half = _open(finer[0].trained, start[0].trained, part) if start else math.inf
-    found = [one for e in finer if e is finer[0] or e.trained < half for one in whole(e)]
+    half = math.inf if start is None else _open(ends[0].trained, start.trained, part)
+    found = run(fits, [Task(e.effects, e.system) for e in ends if e is ends[0] or e.trained < half], FINER)
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
-    rivals = [e for e in best_of_each(run(fits, behind, COARSE), STARTS) if e.trained < HOPELESS * known]
-    return [*found, *run(fits, [Task(e.effects, e.system) for e in rivals[:STARTS]], FINER)]
+    rivals = [e for e in run(fits, behind, COARSE) if e.trained < HOPELESS * known][:STARTS]
+    return [*found, *run(fits, [Task(e.effects, e.system) for e in rivals], FINER)]
+
+
+def _free_from_afar(
+    fits: Fits,
+    short: Fits,
+    nominal: System,
+    far: Sequence[Task],
+    run: Callable[[Fits, Sequence[Task], int], list[FittedModel]],
+) -> list[FittedModel]:
+    """Of what is fitted with no parameter held, over short windows and then whole records, what leaves no structure.
+
+    The priors that hold a model which lacks something keep the right effect, too, from the values that it needs.
+    """
+
+    def free(some: Sequence[Task | FittedModel]) -> list[Task]:
+        return [Task(one.effects, without_priors(one.system, nominal)) for one in some]
+
+    ends = run(short, free(run(short, free(far), COARSE)[:FINALISTS]), FINER)
+    whole = run(fits, free([one for one in ends if one.no_structure]), FINER)
+    return [one for one in whole if one.no_structure]
 
 
 def _further(
@@ -274,15 +288,16 @@ def _further(
 def _worth_it(one: FittedModel, best: FittedModel, before: FittedModel, iterations: int) -> bool:
     """Whether a candidate is worth another fit beside the best.
 
-    It is as a rival of what may be accepted, which the errors of the fits themselves do not surely tell from it; and
-    before the last fit where it may come down to it yet.
+    It is where it may come down to it yet, by its errors; and as a rival of what may be accepted. No rival is what
+    surely errs more by the errors of the fits themselves, where the best leaves no structure.
     """
     near = min(_open(best.trained, before.trained, 1.0 - CRITERIA.major_share), HOPELESS * best.trained)
     if iterations != FULL and one.trained < near:
         return True
     if not promising(best, before):
         return one.trained < near
-    sure = best.no_structure and best.ahead_of(one) > SURE * CRITERIA.distinct_z
+    fitted = best.no_structure and not (best.judged or one.judged)  # errors of the same records
+    sure = fitted and best.ahead_of(one) > SURE * CRITERIA.distinct_z
     closed = _closed(best, before) if best.no_structure else near
     return one.trained < (closed if sure else max(_margin(best), closed))
 
@@ -359,9 +374,12 @@ def _polished(
             if ranked[0].white or not over_angle(ranked[0].effects):
                 break
             again = fits.run([Task(ranked[0].effects, ranked[0].system, x0=ranked[0].result.x0)], FULL)[0]
-            if again is None or again.trained > (1.0 - FURTHER) * ranked[0].trained:
+            if again is None or again.trained > (1.0 - SAME) * ranked[0].trained:
                 break
+            gained = 1.0 - again.trained / ranked[0].trained
             ranked = best_of_each([again, *ranked], 2)
+            if gained < FURTHER:
+                break
     special = fits.run(special_cases(fits, before, ranked[0]), FULL)
     ranked = best_of_each([*ranked, *(e for e in special if e is not None)], 2)
     simpler = [

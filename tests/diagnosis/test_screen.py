@@ -75,9 +75,11 @@ def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
 
     def limit(error: float, iterations: int, **other: Any) -> float:
         """The largest error, by hundredths, with which a rival is fitted further."""
-        best: Any = Fitted((("spring_load", "joint1/load"),), error, **other)
+        best: Any = Fitted((("spring_load", "joint1/load"),), error, **{"judged": False, **other})
         errors = [0.01 * k for k in range(1, 1000)]
-        able = (e for e in errors if _worth_it(cast(Any, Fitted((), e)), best, before, iterations))
+        able = (
+            e for e in errors if _worth_it(cast(Any, Fitted((), e, judged=False)), best, before, iterations)
+        )
         return max(able)
 
     # half of what the best closes where it leaves structure, and not several times its errors; what the records may not
@@ -93,6 +95,8 @@ def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
     # none beyond a tenth of what it closes that surely errs more, be it by less than laws differ
     assert limit(4.0, FULL) == pytest.approx(4.0 / 0.89**2, abs=0.01)
     assert limit(4.0, FULL, z=6.0) == pytest.approx(4.09)
+    # errors on records left out and those of fits are not compared
+    assert limit(4.0, FULL, z=6.0, judged=True) == limit(4.0, FULL)
     # one that will not be accepted has no rivals
     assert limit(4.96, FULL) == pytest.approx(4.97)
 
@@ -231,7 +235,7 @@ def test_from_afar_nothing_is_held_until_structure_is_left(
         def records(self, system: Any) -> None:
             return None
 
-        def run(self, tasks: Any, iterations: int, tick: Any) -> list[Any]:
+        def run(self, tasks: Any, iterations: int, tick: Any = None) -> list[Any]:
             for one in tasks:
                 is_held = one.system.parameter("J").spec.prior_std is not None
                 asked.append((self.whole, iterations, len(one.effects), is_held))
@@ -244,7 +248,17 @@ def test_from_afar_nothing_is_held_until_structure_is_left(
     before = Fitted((), 9.0, no_structure=False, system=held)
     far = [Task((("spring_load", "joint1/load"),), held)]
     (found,) = _from_afar(cast(Any, Fits(True)), nominal, cast(Any, before), [], far, lambda: None)
-    windows = [(False, COARSE, 1, False), (False, FINER, 1, False), (False, FINER, 0, False)]
-    whole = [(True, FINER, 1, False), *([(True, FINER, 1, True)] if structure else [])]
-    assert asked == [*windows, *whole]
+    free = [(False, COARSE, 1, False), (False, FINER, 1, False), (True, FINER, 1, False)]
+    again = [
+        (False, COARSE, 1, True),
+        (False, FINER, 1, True),
+        (False, FINER, 0, True),
+        (True, FINER, 1, True),
+    ]
+    assert asked == [*free, *(again if structure else [])]
     assert (found.system.parameter("J").spec.prior_std is not None) == structure
+    # what is held by nobody needs no fits of its own
+    asked.clear()
+    before.system, far = nominal, [Task((("spring_load", "joint1/load"),), nominal)]
+    assert _from_afar(cast(Any, Fits(True)), nominal, cast(Any, before), [], far, lambda: None)
+    assert len(asked) == 4

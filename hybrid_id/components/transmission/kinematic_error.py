@@ -57,13 +57,15 @@ class KinematicError(Component):
     def starts(site):
         small = 0.02 * min(0.01 * site.angle, 0.5 / site.ratio)
         limit, near = min(0.1 * site.angle, 0.9 / site.ratio, WORST_GEAR), math.pi / site.turns
-        # the rotor's own wheel errs a whole number of times a turn: held, for without amplitude nothing holds it there
-        whole = [(small, small, n) for n in (1.0, 2.0)]
         # a linear estimate from whole runs hardly identifies the period, and the fits from all of them soon do
-        other = [(c, d, free(n, n - near, n + near)) for n, c, d in site.search("gear_waves")[:WAVES]]
+        waves = [*((n, small, small) for n in (1.0, 2.0)), *site.search("gear_waves")[:WAVES]]
         return [
-            {"E_c": free(c, -limit, limit), "E_s": free(d, -limit, limit), "n": period}
-            for c, d, period in (*whole, *other)
+            {
+                "E_c": free(c, -limit, limit),
+                "E_s": free(d, -limit, limit),
+                "n": free(n, n - near, n + near),
+            }
+            for n, c, d in waves
         ]
 
     def further(self, searches):
