@@ -262,3 +262,34 @@ def test_from_afar_nothing_is_held_until_structure_is_left(
     before.system, far = nominal, [Task((("spring_load", "joint1/load"),), nominal)]
     assert _from_afar(cast(Any, Fits(True)), nominal, cast(Any, before), [], far, lambda: None)
     assert len(asked) == 4
+
+
+def test_where_a_wave_leads_all_its_initial_values_go_over_short_windows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    module = importlib.import_module("hybrid_id.diagnosis.screen")
+    wave, spring = ("cogging", "joint1/motor"), ("spring_load", "joint1/load")
+    seen: list[list[Task]] = []
+
+    def afar(fits: Any, nominal: Any, before: Any, ranked: Any, far: list[Task], tick: Any) -> list[Any]:
+        seen.append(far)
+        return []
+
+    def asked(before: tuple[Any, ...], leader: tuple[Any, ...], **other: Any) -> list[tuple[Any, ...]]:
+        best = Fitted(leader, 2.0, **{"no_structure": False, **other})
+        monkeypatch.setattr(module, "_finer", lambda *_: [best])
+        fits: Any = SimpleNamespace(whole=True, run=lambda *_: [best], records=lambda _: None)
+        near = [Task(tuple(sorted((*before, one))), cast(Any, None)) for one in (wave, wave, spring)]
+        module.screen(fits, cast(Any, None), cast(Any, Fitted(before, 9.0)), near, lambda: None)
+        return [one.effects for one in seen.pop()] if seen else []
+
+    monkeypatch.setattr(module, "from_nominal", lambda *_: [])
+    monkeypatch.setattr(module, "hidden_links", lambda *_: False)
+    monkeypatch.setattr(module, "_freed", lambda fits, nominal, before, leader: list(leader))
+    monkeypatch.setattr(module, "_from_afar", afar)
+    assert asked((), (wave,)) == [(wave,), (wave,)]
+    assert asked((), (spring,)) == []
+    # beside a wave that is there it is the new effect that counts
+    assert asked((wave,), (wave, spring)) == []
+    # what leaves no structure needs no look from afar
+    assert asked((), (wave,), no_structure=True) == []
