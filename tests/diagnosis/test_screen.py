@@ -270,13 +270,14 @@ def test_where_a_wave_leads_all_its_initial_values_go_over_short_windows(
     module = importlib.import_module("hybrid_id.diagnosis.screen")
     wave, spring = ("cogging", "joint1/motor"), ("spring_load", "joint1/load")
     seen: list[list[Task]] = []
+    _, nominal = small_case()
 
     def afar(fits: Any, nominal: Any, before: Any, ranked: Any, far: list[Task], tick: Any) -> list[Any]:
         seen.append(far)
         return []
 
     def asked(before: tuple[Any, ...], leader: tuple[Any, ...], **other: Any) -> list[tuple[Any, ...]]:
-        best = Fitted(leader, 2.0, **{"no_structure": False, **other})
+        best = Fitted(leader, 2.0, **{"no_structure": False, "system": nominal, **other})
         monkeypatch.setattr(module, "_finer", lambda *_: [best])
         fits: Any = SimpleNamespace(whole=True, run=lambda *_: [best], records=lambda _: None)
         near = [Task(tuple(sorted((*before, one))), cast(Any, None)) for one in (wave, wave, spring)]
