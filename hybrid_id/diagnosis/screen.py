@@ -26,7 +26,7 @@ SAME = 2e-3
 """Costs that differ by less than this share are of one basin."""
 SURE = 2.0
 """Factor on the standard errors that distinguish two candidates, where these are of the fits' own errors."""
-FURTHER = 1e-2
+FURTHER = 8e-3
 """Share of the mean square that a further fit along ripples has to gain, for another one to follow."""
 
 Progress = Callable[[str, int, int], object]
@@ -197,10 +197,6 @@ def _from_afar(
         return best_of_each([e for e in among.run(some, iterations, tick) if e is not None], STARTS)
 
     short = fits.over(Horizon("windows", WINDOW))
-    if without_priors(before.system, nominal).table != before.system.table:
-        found = _free_from_afar(fits, short, nominal, seen, run)
-        if found:
-            return found
     # from so far a few steps do not tell yet who ends where
     coarse = [Task(e.effects, e.system) for e in run(short, seen, COARSE)[:PROMISING]]
     ends = run(short, coarse, FINER)
@@ -208,6 +204,9 @@ def _from_afar(
     part = 1.0 - CRITERIA.major_share
     half = math.inf if start is None else _open(ends[0].trained, start.trained, part)
     found = run(fits, [Task(e.effects, e.system) for e in ends if e is ends[0] or e.trained < half], FINER)
+    held = without_priors(before.system, nominal).table != before.system.table
+    if held and not any(one.no_structure for one in found):
+        found += _free_from_afar(fits, short, nominal, seen, run)
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
@@ -298,7 +297,7 @@ def _worth_it(one: FittedModel, best: FittedModel, before: FittedModel, iteratio
         return one.trained < near
     fitted = best.no_structure and not (best.judged or one.judged)  # errors of the same records
     sure = fitted and best.ahead_of(one) > SURE * CRITERIA.distinct_z
-    closed = _closed(best, before) if best.no_structure else near
+    closed = _closed(best, before)
     return one.trained < (closed if sure else max(_margin(best), closed))
 
 
