@@ -184,8 +184,9 @@ def _from_afar(
     """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
 
     What closes the lesser part of what the best closes there, beside the model before, is not fitted to whole records.
-    Where all leave structure with their parameters held, they are fitted without priors, too. Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
-    of whole ones instead, of which those are let go that stay far behind what has been found.
+    Where all leave structure with their parameters held, they are fitted without priors, too. Where the link is hidden
+    behind play no window knows its state: where nothing else explains the records, coarse fits of whole ones instead,
+    of which those are let go that stay far behind what has been found.
     """
     if not far:
         return []
