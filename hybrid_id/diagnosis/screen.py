@@ -107,11 +107,10 @@ def screen(
     ranked = [*_freed(fits, nominal, before, ranked[:1]), *ranked[1:]]
     if not (ranked and ranked[0].no_structure):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
-        if fits.whole and ranked and over_angle((added_effect(ranked[0], before),)):
-            # over whole records any wave takes some of what another one leaves, over short windows the right one most
-            seen = fits.records(before.system)
-            own = [task for task in near if task.effects == ranked[0].effects]
-            far += [task for task in own if not hidden_links(task.system, seen)]
+        # over whole records any wave takes some of what another one leaves, over short windows the right one most
+        wave = fits.whole and ranked and over_angle((added_effect(ranked[0], before),))
+        if wave and not hidden_links(ranked[0].system, fits.records(before.system)):
+            far += [task for task in near if task.effects == ranked[0].effects]
         ranked = best_of_each([*ranked, *_from_afar(fits, nominal, before, ranked, far, tick)], 2)
     return ranked
 
@@ -197,42 +196,31 @@ def _from_afar(
     def run(among: Fits, some: Sequence[Task], iterations: int) -> list[FittedModel]:
         return best_of_each([e for e in among.run(some, iterations, tick) if e is not None], STARTS)
 
+    def again(some: Sequence[FittedModel]) -> list[Task]:
+        return [Task(e.effects, e.system) for e in some]
+
     short = fits.over(Horizon("windows", WINDOW))
-    # from so far a few steps do not tell yet who ends where
-    coarse = [Task(e.effects, e.system) for e in run(short, seen, COARSE)[:PROMISING]]
-    ends = run(short, coarse, FINER)
+
+    def over_windows(some: Sequence[Task], most: int) -> list[FittedModel]:
+        # from so far a few steps do not tell yet who ends where
+        return run(short, again(run(short, some, COARSE)[:most]), FINER)
+
+    ends = over_windows(seen, PROMISING)
     start = short.run([Task(before.effects, before.system)], FINER)[0] if ends else None
     part = 1.0 - CRITERIA.major_share
     half = math.inf if start is None else _open(ends[0].trained, start.trained, part)
-    found = run(fits, [Task(e.effects, e.system) for e in ends if e is ends[0] or e.trained < half], FINER)
+    found = run(fits, again([e for e in ends if e is ends[0] or e.trained < half]), FINER)
     held = without_priors(before.system, nominal).table != before.system.table
     if held and not any(one.no_structure for one in found):
-        found += _free_from_afar(fits, short, nominal, seen, run)
+        # priors that hold a model which lacks something keep the right effect, too, from the values that it needs
+        free = [Task(task.effects, without_priors(task.system, nominal)) for task in seen]
+        enough = [one for one in over_windows(free, FINALISTS) if one.no_structure]
+        found += [one for one in run(fits, again(enough), FINER) if one.no_structure]
     if not fits.whole or any(one.white for one in found):
         return found
     known = min((e.trained for e in (*ranked, *found)), default=math.inf)
     rivals = [e for e in run(fits, behind, COARSE) if e.trained < HOPELESS * known][:STARTS]
-    return [*found, *run(fits, [Task(e.effects, e.system) for e in rivals], FINER)]
-
-
-def _free_from_afar(
-    fits: Fits,
-    short: Fits,
-    nominal: System,
-    far: Sequence[Task],
-    run: Callable[[Fits, Sequence[Task], int], list[FittedModel]],
-) -> list[FittedModel]:
-    """Of what is fitted with no parameter held, over short windows and then whole records, what leaves no structure.
-
-    The priors that hold a model which lacks something keep the right effect, too, from the values that it needs.
-    """
-
-    def free(some: Sequence[Task | FittedModel]) -> list[Task]:
-        return [Task(one.effects, without_priors(one.system, nominal)) for one in some]
-
-    ends = run(short, free(run(short, free(far), COARSE)[:FINALISTS]), FINER)
-    whole = run(fits, free([one for one in ends if one.no_structure]), FINER)
-    return [one for one in whole if one.no_structure]
+    return [*found, *run(fits, again(rivals), FINER)]
 
 
 def _further(
@@ -298,8 +286,7 @@ def _worth_it(one: FittedModel, best: FittedModel, before: FittedModel, iteratio
         return one.trained < near
     fitted = best.no_structure and not (best.judged or one.judged)  # errors of the same records
     sure = fitted and best.ahead_of(one) > SURE * CRITERIA.distinct_z
-    closed = _closed(best, before)
-    return one.trained < (closed if sure else max(_margin(best), closed))
+    return one.trained < (_closed(best, before) if sure else _no_rival(best, before))
 
 
 def _closed(best: FittedModel, before: FittedModel) -> float:
@@ -315,12 +302,7 @@ def _open(best: float, before: float, share: float) -> float:
 
 def _no_rival(best: FittedModel, before: FittedModel) -> float:
     """Mean square of the errors from which no candidate is a rival: it errs clearly more, or leaves too much open."""
-    return max(_margin(best), _closed(best, before))
-
-
-def _margin(best: FittedModel) -> float:
-    """Mean square of the errors beyond twice the difference at which two candidates are distinct."""
-    return best.trained / (1.0 - CRITERIA.distinct_fall) ** 2
+    return max(best.trained / (1.0 - CRITERIA.distinct_fall) ** 2, _closed(best, before))
 
 
 def _judged_below(ends: Sequence[FittedModel], before: FittedModel) -> float:
