@@ -29,6 +29,8 @@ FINEST = 1200
 """Periods over such a range, or below the whole ones of a motor, that are looked at, at most."""
 THINNED, SHORTLIST = 4, 90
 """Of many shapes, every so many windows choose so many of them, which are then held against all windows."""
+TOGETHER = 32
+"""Shapes whose responses are held at once: those of hundreds do not fit the cache."""
 ROUNDING = 1e-10
 """Share of a shape's squares beside the model's own parameters, below which these do the same."""
 MOST_WAVES = 12.0
@@ -210,13 +212,31 @@ def _ranked(
     Squares and products beside the model's own parameters say it all: no shape is ever projected sample by sample.
     """
     own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
-    moved = opened.response(*(shapes[i] for i in numbers))
-    if beside is not None:
-        moved = moved + beside[0].response(*(beside[1][i] for i in numbers))
-    columns = moved.flatten(0, 1).numpy()
     basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
     left = left - basis @ (basis.T @ left)
-    each = len(numbers), shapes[numbers[0]].shape[-1]
+    found = []
+    for first in range(0, len(numbers), TOGETHER):
+        some = numbers[first : first + TOGETHER]
+        moved = opened.response(*(shapes[i] for i in some))
+        if beside is not None:
+            moved = moved + beside[0].response(*(beside[1][i] for i in some))
+        found.append(_gains(left, basis, moved.flatten(0, 1).numpy(), len(some)))
+    gain, size = (np.concatenate(part) for part in zip(*found, strict=True))
+    return [(numbers[k], tuple(size[k].tolist())) for k in np.argsort(-gain, kind="stable")]
+
+
+def _gains(
+    left: np.ndarray, basis: np.ndarray, columns: np.ndarray, shapes: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how much each of some shapes lessens the squares of what is left, and its coefficients: ``(k,)``, ``(k, m)``.
+
+    Args:
+        left: residuals beside the model's own parameters, ``(n,)``.
+        basis: orthonormal, of what these can do, ``(n, n_f)``.
+        columns: of all shapes side by side, ``(n, k m)``.
+        shapes: how many, k.
+    """
+    each = shapes, columns.shape[1] // shapes
     slopes, inside = (left @ columns).reshape(each), (basis.T @ columns).reshape(-1, *each)
     columns = columns.reshape(-1, *each)
     squares = np.empty((*each, each[1]))
@@ -229,5 +249,4 @@ def _ranked(
     along = np.einsum("kij,ki->kj", axes, slopes * unit)
     along = np.where(share > ROUNDING, along / np.maximum(share, ROUNDING), 0.0)
     size = np.einsum("kij,kj->ki", axes, along) * unit
-    gain = (slopes * size).sum(1)
-    return [(numbers[k], tuple(size[k].tolist())) for k in np.argsort(-gain, kind="stable")]
+    return (slopes * size).sum(1), size

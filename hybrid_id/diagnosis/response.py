@@ -18,7 +18,7 @@ from torch import Tensor
 from hybrid_id.components.load.constant_torque import ConstantTorque
 from hybrid_id.components.motor.rotor_bias import RotorBias
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.lifted import Linearisation, condense, linearise
+from hybrid_id.simulation.lifted import Linearisation, condense, forced, linearise
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -83,12 +83,7 @@ class Response:
     def _chained(self, waves: Tensor) -> Tensor:
         """The same of torques within each window, ``(W, L, m)``."""
         through = self.lin.c * self.weight[..., None]
-        state = waves.new_zeros(len(waves), self.x.shape[-1], waves.shape[-1])
-        found = waves.new_empty(*through.shape[:3], waves.shape[-1])
-        for k in range(waves.shape[1]):  # a state at a time: those of all samples would not fit the cache
-            found[:, k] = through[:, k] @ state
-            state = torch.baddbmm(self.lin.b[:, k] * waves[:, k, None], self.lin.a[:, k], state)
-        found = found.flatten(1, 2)
+        found = forced(through, self.lin.a, self.lin.b[..., 0], waves).flatten(1, 2)
         return torch.baddbmm(found, self.start, self.start.transpose(1, 2) @ found, alpha=-1.0)
 
     def unexplained(self, knot: float) -> tuple[np.ndarray, np.ndarray]:

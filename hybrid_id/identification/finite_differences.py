@@ -9,8 +9,9 @@ rollout, and so is every trial step: the LM step of :mod:`.least_squares` for ma
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -74,9 +75,8 @@ class Rollouts:
         shape = count, rows, batch.x.shape[1]
         theta = self.theta[:, None].repeat(1, count)
         theta[self.free] = torch.tensor(points.T)
-        x = batch.x.repeat(count, 1, 1)
-        if first is not None:
-            x[:, 0] = torch.as_tensor(first).flatten(0, 1)
+        x = batch.x.new_empty(count * rows, *batch.x.shape[1:])  # whose first samples decide the others
+        x[:, 0] = batch.x[:, 0].repeat(count, 1) if first is None else torch.as_tensor(first).flatten(0, 1)
         # channels that the points delay differ from point to point; the records' own are as they are
         delayed = {name.split("@")[0] for name in batch.u if "@" in name}
         u = {
@@ -92,8 +92,8 @@ class Rollouts:
             x = shoot(self.plain, self.engine, x, arrived, batch.dt, lanes, shape[2]).view(*shape, -1)
             y = self.system.outputs(batch.outputs, x.unbind(-1), channels, views)
         run = torch.stack([one.expand(shape) for one in y], -1)
-        residual = ((batch.y - run) * batch.weight).nan_to_num(WORST, WORST, -WORST).clamp_(-WORST, WORST)
-        return residual.numpy()
+        residual = torch.sub(batch.y, run, out=run).mul_(batch.weight)
+        return residual.nan_to_num_(WORST, WORST, -WORST).clamp_(-WORST, WORST).numpy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +101,8 @@ class Slopes:
     """Slopes of a batch's residuals at one model's fit, for others that have most of their parameters from it.
 
     Attributes:
-        parameters: of each by its component and symbol, ``(R * T * n_y,)``.
-        first: of each state that is not known exactly at the start, by its name, ``(R, T * n_y)``.
+        parameters: of each by its component and symbol, ``(R, T n_y)``.
+        first: of each state that is not known exactly at the start, by its name, ``(R, T n_y)``.
         x0: these states there, by their names, ``(R,)``.
         least: cost that others have to get below to be of any interest.
     """
@@ -114,9 +114,8 @@ class Slopes:
 
     def of_rows(self, rows: np.ndarray) -> Slopes:
         """The slopes of some rows of the batch."""
-        count = len(next(iter(self.first.values()))) if self.first else 1
-        parameters = {k: s.reshape(count, -1)[rows].ravel() for k, s in self.parameters.items()}
-        first, x0 = ({k: s[rows] for k, s in of.items()} for of in (self.first, self.x0))
+        parameters = {key: slope[rows] for key, slope in self.parameters.items()}
+        first, x0 = ({name: s[rows] for name, s in of.items()} for of in (self.first, self.x0))
         return replace(self, parameters=parameters, first=first, x0=x0)
 
 
@@ -124,7 +123,8 @@ class Cost:
     """Residuals of the records and of what is known beforehand, as a function of parameters and first states.
 
     A point holds the free parameters, then for every state that is not known exactly at the start its shift from the
-    measured one in each row.
+    measured one in each row. A row's residuals depend on the parameters and its own states alone: its slopes by these,
+    ``(R, n_f + n_s, T n_y)``, are all that are kept.
 
     Raises:
         InputError: nothing to estimate.
@@ -146,6 +146,9 @@ class Cost:
         self.scale, self.std = bounds.scale.numpy(), std.reshape(len(self.loose), batch.rows)
         self.keys = [(system.table[i].component, system.table[i].symbol) for i in free]
         self.states = [system.state_names[k] for k in self.loose]
+        states = self.n_f + np.arange(len(std)).reshape(self.std.shape).T
+        self.places = np.hstack([np.tile(np.arange(self.n_f), (batch.rows, 1)), states])
+        """Where a point has what each row depends on, ``(R, n_f + n_s)``."""
 
     def point(self, values: np.ndarray, x0: np.ndarray) -> np.ndarray:
         """The point of parameters ``(n_f,)`` and first states ``(R, n_x)``, inside the bounds."""
@@ -160,9 +163,15 @@ class Cost:
         return first
 
     def residuals(self, points: np.ndarray) -> np.ndarray:
-        """Weighted residuals at points ``(P, n)``, then those of the priors."""
+        """Weighted residuals of each row at points ``(P, n)``, ``(P, R, T n_y)``."""
         runs = self.rollouts.residuals(points[:, : self.n_f], self.first_states(points))
-        return np.hstack([runs.reshape(len(points), -1), np.sqrt(self.precision) * (self.mean - points)])
+        return runs.reshape(len(points), len(self.measured), -1)
+
+    def values(self, points: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+        """Cost at points ``(P, n)``, that of the priors included, ``(P,)``."""
+        flat = residuals.reshape(len(points), 1, -1)
+        data = (flat @ flat.transpose(0, 2, 1))[:, 0, 0]
+        return 0.5 * (data + (self.precision * np.square(points - self.mean)).sum(1))
 
     def slopes(
         self, point: np.ndarray, left: np.ndarray, share: float, near: Slopes | None = None
@@ -184,46 +193,66 @@ class Cost:
         # what a row starts with moves that row alone: one lane moves them all
         for lane, k in enumerate(loose, len(new)):
             lanes[lane, n_f + k * rows : n_f + (k + 1) * rows] += self.std[k]
-        data = len(left) - len(point)
-        change = self.residuals(lanes)[:, :data] - left[:data] if len(lanes) else np.empty((0, data))
-        slopes = np.zeros((len(left), len(point)))
+        slopes = np.empty((rows, n_f + len(self.states), left.shape[1]))
         for i, key in enumerate(self.keys):
             if key in known.parameters:
-                slopes[:data, i] = known.parameters[key]
-        # what cannot move changes nothing
-        slopes[:data, new] = (change[: len(new)] / np.where(step == 0.0, 1.0, step)[new, None]).T
-        blocks = slopes[:data, n_f:].reshape(rows, data // rows, len(self.loose), rows)
-        moved = dict(zip(loose, change[len(new) :].reshape(len(loose), rows, data // rows), strict=True))
-        for k, name in enumerate(self.states):
-            own = moved[k] / self.std[k, :, None] if k in moved else known.first[name]
-            for r in range(rows):
-                blocks[r, :, k, r] = own[r]
-        slopes[:data, n_f:] = blocks.reshape(data, -1)
-        slopes[data:] = np.diag(-np.sqrt(self.precision))
+                slopes[:, i] = known.parameters[key]
+        for k, name in enumerate(self.states, n_f):
+            if name in known.first:
+                slopes[:, k] = known.first[name]
+        if len(lanes):
+            moved = self.residuals(lanes)
+            moved -= left
+            # what cannot move changes nothing
+            moved[: len(new)] /= np.where(step == 0.0, 1.0, step)[new, None, None]
+            moved[len(new) :] /= self.std[loose, :, None]
+            slopes[:, [*new, *(n_f + k for k in loose)]] = moved.transpose(1, 0, 2)
         return slopes
 
     def steps(
         self, point: np.ndarray, residual: np.ndarray, slopes: np.ndarray, dampings: np.ndarray
     ) -> np.ndarray:
         """Points to which an LM step leads inside the bounds, one for each damping, ``(D, n)``."""
-        hessian, gradient = torch.as_tensor(slopes.T @ slopes), torch.as_tensor(slopes.T @ residual)
+        hessian, gradient = np.diag(self.precision), self.precision * (point - self.mean)
+        pull = (slopes @ residual[..., None])[..., 0]
+        for place, squares, own in zip(self.places, slopes @ slopes.transpose(0, 2, 1), pull, strict=True):
+            hessian[np.ix_(place, place)] += squares
+            gradient[place] += own
+        diagonal = torch.as_tensor(hessian).diagonal()
         # first states that are known exactly in some rows are stiff, and say nothing of the parameters' sizes
-        own = hessian.diagonal()[: self.n_f].amax().clamp_min(1e-300)
-        unit = hessian.diagonal().maximum(1e-12 * own).rsqrt().expand(len(dampings), -1)
+        least = 1e-12 * diagonal[: self.n_f].amax().clamp_min(1e-300)
+        unit = diagonal.maximum(least).rsqrt().expand(len(dampings), -1)
         low, high = (torch.as_tensor(limit - point).expand_as(unit) for limit in (self.low, self.high))
-        added = torch.as_tensor(dampings)[:, None].expand_as(unit)
-        step = bounded_lm_step(hessian[None], gradient[None], unit, added, low, high)[0]
+        added, down = torch.as_tensor(dampings)[:, None].expand_as(unit), torch.as_tensor(gradient)[None]
+        step = bounded_lm_step(torch.as_tensor(hessian)[None], down, unit, added, low, high)[0]
         return np.clip(point + (step * unit).numpy(), self.low, self.high)
+
+    def promised(self, to: np.ndarray, point: np.ndarray, residual: np.ndarray, slopes: np.ndarray) -> float:
+        """Cost that slopes at a point promise at another one."""
+        left = residual + ((to - point)[self.places][:, None] @ slopes)[:, 0]
+        return float(self.values(to[None], left)[0])
 
     def shared(self, point: np.ndarray, slopes: np.ndarray) -> Slopes:
         """Slopes at a point, for models that have most of their parameters from this one."""
-        rows, data = self.std.shape[1], len(slopes) - slopes.shape[1]
-        blocks = slopes[:data, self.n_f :].reshape(rows, data // rows, len(self.loose), rows)
-        own = [np.stack([blocks[r, :, k, r] for r in range(rows)]) for k in range(len(self.loose))]
-        columns = {key: slopes[:data, i].copy() for i, key in enumerate(self.keys)}
+        columns, first = slopes[:, : self.n_f].swapaxes(0, 1), slopes[:, self.n_f :].swapaxes(0, 1)
         x0 = self.first_states(point[None])[0][:, self.loose].T
-        first, x0 = (dict(zip(self.states, of, strict=True)) for of in (own, x0))
-        return Slopes(columns, first, x0)
+        of_keys = dict(zip(self.keys, columns, strict=True))
+        first, x0 = (dict(zip(self.states, of, strict=True)) for of in (first, x0))
+        return Slopes(of_keys, first, x0)
+
+    def eliminated(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes by the parameters while each row's first states follow these, ``(R, n_f, T n_y)``, and how they do.
+
+        Returns:
+            These slopes, and the change of a point's first states by each parameter, ``(n_s R, n_f)``.
+        """
+        by_values, starts = slopes[:, : self.n_f], slopes[:, self.n_f :]
+        squares = starts @ starts.transpose(0, 2, 1)
+        own = np.arange(starts.shape[1])
+        squares[:, own, own] += self.precision[self.places[:, self.n_f :]]
+        follow = -np.linalg.solve(squares, starts @ by_values.transpose(0, 2, 1))
+        along = by_values + follow.transpose(0, 2, 1) @ starts
+        return along, follow.swapaxes(0, 1).reshape(-1, self.n_f)
 
 
 def finite_difference_fit(
@@ -241,8 +270,8 @@ def finite_difference_fit(
     """Fit one parameter set and the first states of all rows of a batch.
 
     With ``near`` the fit is a coarse one, which ends where it comes to nothing: only what the neighbouring model lacks
-    is simulated for the first slopes, and every step updates them by Broyden's rank-one formula (C. G. Broyden, Math.
-    Comp. 19, 1965) instead of new ones.
+    is simulated for the first slopes, and every step updates them by Broyden's formula (C. G. Broyden, Math. Comp. 19,
+    1965) instead of new ones.
 
     Args:
         system: model with start values and bounds.
@@ -261,7 +290,7 @@ def finite_difference_fit(
     cost = Cost(system, batch, engine)
     point = cost.point(cost.start, _first(system, batch, near) if x0 is None else x0)
     residual = cost.residuals(point[None])[0]
-    damping, stage, history = 1e-2, 0, [0.5 * float(residual @ residual)]
+    damping, stage, history = 1e-2, 0, [float(cost.values(point[None], residual)[0])]
     known = near or begin
     jacobian = None if known is None else cost.slopes(point, residual, shares[0], known)
     fresh, shorter = begin is not None, False
@@ -271,10 +300,11 @@ def finite_difference_fit(
         dampings = np.clip(damping * (DAMPINGS if near is None else FEW), LEAST_DAMPING, MOST_DAMPING)
         points = cost.steps(point, residual, jacobian, dampings)
         trials = cost.residuals(points)
-        costs = 0.5 * np.square(trials).sum(1)
+        costs = cost.values(points, trials)
         best = int(np.nanargmin(costs))
         gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
-        if near is not None and _idle(near, len(history), least, residual + jacobian @ (points[0] - point)):
+        promised = partial(cost.promised, points[0], point, residual, jacobian)
+        if near is not None and _idle(near, len(history), least, promised):
             stage = len(shares)
         elif near is not None and gained < SETTLED * history[-1] and len(history) > 1:
             stage, shorter = len(shares) if shorter else stage, not shorter
@@ -283,7 +313,7 @@ def finite_difference_fit(
         elif gained < POOR * history[-1] and (near is None or len(history) == 1):
             jacobian = None
         else:
-            jacobian = _broyden(jacobian, points[best] - point, trials[best] - residual)
+            _broyden(jacobian, (points[best] - point)[cost.places], trials[best] - residual)
             fresh = False
         if gained > 0:
             point, residual, damping = points[best], trials[best], float(dampings[best])
@@ -292,13 +322,13 @@ def finite_difference_fit(
         history.append(least)
     shape, n_f = batch.y.shape, cost.n_f
     found: tuple[np.ndarray, ...] = ()
-    runs = residual[: batch.y.numel()].reshape(shape)
+    runs = residual.reshape(shape)
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
     if tangents:
         if jacobian is None or near is None:
             jacobian = cost.slopes(point, residual, shares[-1])
-        reduced = -eliminated(jacobian, n_f)[0][: batch.y.numel()].reshape(*shape, n_f)
-        found = tuple(part[k] for part, k in zip(reduced, keep, strict=True))
+        reduced = cost.eliminated(jacobian)[0].reshape(len(keep), n_f, *shape[1:])
+        found = tuple(-part[:, k].transpose(1, 2, 0) for part, k in zip(reduced, keep, strict=True))
     info = [system.table[i] for i in cost.rollouts.free]
     names = tuple(i.name for i in info)
     return FitResult(
@@ -335,26 +365,24 @@ def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | Non
     return cost.shared(point, cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
 
 
-def eliminated(slopes: np.ndarray, n_f: int) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes by the parameters while the first states follow these, and how far they do, ``(n_states, n_f)``."""
-    starts = slopes[:, n_f:]
-    follow = -np.linalg.solve(starts.T @ starts, starts.T @ slopes[:, :n_f])
-    return slopes[:, :n_f] + starts @ follow, follow
-
-
-def _idle(near: Slopes, iteration: int, cost: float, predicted: np.ndarray) -> bool:
+def _idle(near: Slopes, iteration: int, cost: float, predicted: Callable[[], float]) -> bool:
     """Whether a coarse fit has come to nothing: no better than what it starts beside, and its slopes promise no more.
 
-    They are believed where it has come near, or after a few steps; ``predicted`` are the residuals that they promise.
+    They are believed where it has come near, or after a few steps; ``predicted`` is the cost that they promise.
     """
     interesting = (1.0 - POOR) * near.least
     if cost <= interesting or (cost >= CLOSE * near.least and iteration < PATIENCE):
         return False
-    return 0.5 * float(np.square(predicted).sum()) > interesting
+    return predicted() > interesting
 
 
-def _broyden(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Slopes that tell the change that a step has brought, otherwise as they were (Broyden, in scaled parameters)."""
-    along = np.square(jacobian).sum(0) * step
-    length = float(along @ step)
-    return jacobian + np.outer(change - jacobian @ step, along / length) if length > 0 else jacobian
+def _broyden(slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> None:
+    """Let slopes ``(R, n, T n_y)`` tell the change that a step ``(R, n)`` has brought, otherwise stay as they were.
+
+    In scaled parameters, and for each row by what it depends on alone (L. K. Schubert, Math. Comp. 24, 1970).
+    """
+    along = np.einsum("rkm,rkm->rk", slopes, slopes) * step
+    length = (along * step).sum(1, keepdims=True)
+    along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+    missing = change - (step[:, None] @ slopes)[:, 0]
+    slopes += along[..., None] * missing[:, None]

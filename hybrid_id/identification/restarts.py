@@ -12,7 +12,6 @@ from hybrid_id.identification.finite_differences import (
     SETTLED,
     STEPS,
     Cost,
-    eliminated,
     finite_difference_fit,
 )
 from hybrid_id.identification.fit import Progress, kept_fit
@@ -130,14 +129,17 @@ def perturbed_restarts(result: FitResult, batch: Batch, *, seed: int = 0, tries:
             cost, here = Cost(result.system, batch, result.engine), result
             n_f, point = cost.n_f, cost.point(result.values, result.x0)
             slopes = cost.slopes(point, cost.residuals(point[None])[0], STEPS[-1])
-            tangents, follow = eliminated(slopes, n_f)
-        size, axes, far = _reach(tangents.T @ tangents, share * result.cost)
+            tangents, follow = cost.eliminated(slopes)
+            information = (tangents @ slopes[:, :n_f].transpose(0, 2, 1)).sum(0) + np.diag(
+                cost.precision[:n_f]
+            )
+        size, axes, far = _reach(information, share * result.cost)
         step = (generator.standard_normal((LANES, n_f)) * far) @ axes.T / size
         most = 0.3 * np.maximum(np.abs(result.values), cost.scale)
         points = np.clip(result.values + np.clip(step, -most, most), cost.low[:n_f], cost.high[:n_f])
         moved = np.hstack([points, point[n_f:] + (points - result.values) @ follow.T])
-        residual = cost.residuals(np.clip(moved, cost.low, cost.high))
-        best = points[int(np.square(residual).sum(1).argmin())]
+        moved = np.clip(moved, cost.low, cost.high)
+        best = points[int(cost.values(moved, cost.residuals(moved)).argmin())]
         start = result.system.with_values(dict(zip(result.names, best.tolist(), strict=True)))
         again = finite_difference_fit(start, batch, engine=result.engine, iterations=BETWEEN, x0=result.x0)
         if again.cost < (1.0 - SETTLED) * result.cost:

@@ -107,7 +107,8 @@ def shoot(
     Raises:
         InputError: there is no C compiler, or the model uses an operation that has no C expression.
     """
-    u, path = _arrived(system, u, theta), x.contiguous().clone()
+    u, path = _arrived(system, u, theta), torch.empty_like(x, memory_format=torch.contiguous_format)
+    path[:, ::length] = x[:, ::length]
     equations, constants = _equations(system, engine, tuple(u))
     channels, step = [channel.contiguous() for channel in u.values()], (dt / engine.substeps).contiguous()
     # addresses and rows of the channels: those of few rows stay where they are, however many lanes they drive

@@ -39,3 +39,27 @@ void condense(double *chain, double *restrict block, const double *x, const doub
         }
     }
 }
+
+/* outputs of rows of linear maps under inputs that begin at rest; state and next have room for n_x rows of n_w columns */
+void forced(double *outputs, double *state, double *next, const double *through, const double *a, const double *b,
+            const double *inputs, long rows, long samples, long n_x, long n_y, long n_w)
+{
+    for (long r = 0; r < rows; r++) {
+        for (long i = 0; i < n_x * n_w; i++) state[i] = 0.0;
+        for (long k = 0; k < samples; k++) {
+            for (long i = 0; i < n_y; i++, outputs += n_w) {
+                for (long j = 0; j < n_w; j++) outputs[j] = 0.0;
+                for (long m = 0; m < n_x; m++, through++)
+                    for (long j = 0; j < n_w; j++) outputs[j] += *through * state[m * n_w + j];
+            }
+            for (long i = 0; i < n_x; i++, b++) {
+                double *restrict row = next + i * n_w;
+                for (long j = 0; j < n_w; j++) row[j] = *b * inputs[j];
+                for (long m = 0; m < n_x; m++, a++)
+                    for (long j = 0; j < n_w; j++) row[j] += *a * state[m * n_w + j];
+            }
+            double *swap = state;
+            state = next, next = swap, inputs += n_w;
+        }
+    }
+}

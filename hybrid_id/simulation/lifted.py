@@ -269,11 +269,33 @@ def condense_compiled(x: Tensor, a: Tensor, b: Tensor, x_next: Tensor) -> Tensor
     return chain
 
 
+def forced(through: Tensor, a: Tensor, b: Tensor, inputs: Tensor) -> Tensor:
+    """Outputs ``(R, T, n_y, n_w)`` of linear maps that begin at zero, under inputs: in C where that can be.
+
+    Args:
+        through: outputs by states, ``(R, T, n_y, n_x)``.
+        a: the next states by the states, ``(R, T, n_x, n_x)``.
+        b: the next states by the input, ``(R, T, n_x)``.
+        inputs: each a column of its own, ``(R, T, n_w)``.
+    """
+    parts = [part.contiguous() for part in (through, a, b, inputs)]
+    (rows, samples, n_y, n_x), n_w = through.shape, inputs.shape[-1]
+    found, state = through.new_empty(rows, samples, n_y, n_w), through.new_zeros(2, n_x, n_w)
+    if (code := _condensing()) is not None:
+        call(code, "forced", found, *state, *parts, rows, samples, n_x, n_y, n_w)
+        return found
+    now = state[0].expand(rows, n_x, n_w)
+    for k in range(samples):  # a state at a time: those of all samples would not fit the cache
+        found[:, k] = through[:, k] @ now
+        now = torch.baddbmm(b[:, k, :, None] * inputs[:, k, None], a[:, k], now)
+    return found
+
+
 @functools.cache
 def _condensing() -> ctypes.CDLL | None:
     try:
         source = resources.files("hybrid_id.simulation").joinpath("condense.c").read_text(encoding="utf-8")
-        return library(source, ("condense",))
+        return library(source, ("condense", "forced"))
     except InputError:
         return None
 

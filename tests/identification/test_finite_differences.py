@@ -10,7 +10,13 @@ from drives import batch_of, multisine, rigid_drive
 
 from hybrid_id.components import Backlash, Delay, Gravity, Viscous
 from hybrid_id.errors import InputError
-from hybrid_id.identification.finite_differences import Rollouts, eliminated, finite_difference_fit, slopes_at
+from hybrid_id.identification.finite_differences import (
+    Cost,
+    Rollouts,
+    _broyden,
+    finite_difference_fit,
+    slopes_at,
+)
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.leave_one_out import PARTS, _parts, leave_one_out
 from hybrid_id.identification.restarts import perturbed_restarts
@@ -241,10 +247,50 @@ def test_sensitivities_are_those_of_a_fit_whose_first_states_follow() -> None:
 
 
 def test_first_states_follow_the_parameters() -> None:
-    rng = np.random.default_rng(0)
-    jacobian = rng.standard_normal((40, 5))
-    slopes, follow = eliminated(jacobian, 3)
-    step = rng.standard_normal(3)
-    least = np.linalg.lstsq(jacobian[:, 3:], -jacobian[:, :3] @ step, rcond=None)[0]
-    np.testing.assert_allclose(follow @ step, least, atol=1e-10)
-    np.testing.assert_allclose(slopes @ step, jacobian @ np.concatenate([step, least]), atol=1e-10)
+    """Row by row: a parameter moves all rows, a first state its own, and a prior is one measurement more."""
+    system, rng = rigid_drive(), np.random.default_rng(0)
+    batch = measured(system, DRY)
+    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
+    n_f, rows = cost.n_f, batch.rows
+    slopes = rng.standard_normal((rows, n_f + len(cost.states), 40))
+    along, follow = cost.eliminated(slopes)
+    step = rng.standard_normal(n_f)
+    shift = (follow @ step).reshape(len(cost.states), rows)
+    for row in range(rows):
+        starts = np.vstack([slopes[row, n_f:].T, np.diag(1.0 / cost.std[:, row])])
+        by_values = np.vstack([slopes[row, :n_f].T, np.zeros((len(cost.states), n_f))])
+        least = np.linalg.lstsq(starts, -by_values @ step, rcond=None)[0]
+        np.testing.assert_allclose(shift[:, row], least, atol=1e-10)
+        np.testing.assert_allclose(step @ along[row], (by_values @ step + starts @ least)[:40], atol=1e-10)
+
+
+def test_updated_slopes_tell_the_step_that_was_taken() -> None:
+    system, rng = rigid_drive(), np.random.default_rng(1)
+    batch = measured(system, DRY)
+    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
+    slopes = rng.standard_normal((batch.rows, cost.n_f + len(cost.states), 40))
+    point, residual = rng.standard_normal(len(cost.mean)), rng.standard_normal((batch.rows, 40))
+    step, change = rng.standard_normal(len(point)), rng.standard_normal((batch.rows, 40))
+    step[: cost.n_f][0] = 0.0
+    kept = slopes[:, 0].copy()
+    _broyden(slopes, step[cost.places], change)
+    promised = cost.promised(point + step, point, residual, slopes)
+    assert promised == pytest.approx(float(cost.values((point + step)[None], residual + change)[0]))
+    np.testing.assert_array_equal(slopes[:, 0], kept)
+
+
+def test_a_step_is_that_of_all_rows_together() -> None:
+    system, rng = rigid_drive(), np.random.default_rng(2)
+    batch = measured(system, DRY)
+    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
+    point, rows = cost.point(cost.start, cost.measured), batch.rows
+    slopes = 1e-3 * rng.standard_normal((rows, cost.n_f + len(cost.states), 400)) / cost.low.size
+    residual = 1e-9 * rng.standard_normal((rows, 400))
+    whole = np.zeros((rows * 400, len(point)))
+    for row, place in enumerate(cost.places):
+        whole[400 * row : 400 * (row + 1), place] = slopes[row].T
+    hessian = whole.T @ whole + np.diag(cost.precision)
+    gradient = whole.T @ residual.ravel() + cost.precision * (point - cost.mean)
+    damped = hessian + 0.1 * np.diag(np.diag(hessian))
+    taken = cost.steps(point, residual, slopes, np.array([0.1]))[0] - point
+    np.testing.assert_allclose(taken, -np.linalg.solve(damped, gradient), rtol=1e-6, atol=1e-15)
