@@ -449,7 +449,9 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
             "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False,
             "shares": STEPS[:1],
         }  # fmt: skip
-        again = finite_difference_fit(result.system, others, begin=slopes.of_rows(inside.numpy()), **settings)
+        # where errors are noise, the slopes of all records lead to the others' minimum, too
+        known = {"begin" if rippled else "near": slopes.of_rows(inside.numpy())}
+        again = finite_difference_fit(result.system, others, **known, **settings)
         if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
             with suppress(InputError):  # a step may leave an arm no mass matrix
                 start = result.system.with_values(dict(zip(result.names, starts[k].tolist(), strict=True)))
@@ -496,7 +498,8 @@ def _both_ways(
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
     enough = ends and (autocorrelation(ends[0].residual) < CRITERIA.white if last else ends[0].cost <= cost)
     if not enough:
-        ends.append(finite_difference_fit(system, batch, engine=how, iterations=iterations, x0=x0))
+        settings = {"iterations": iterations, "x0": x0, "least_gain": SLOW}
+        ends.append(finite_difference_fit(system, batch, engine=how, **settings))
     return ends
 
 

@@ -212,20 +212,40 @@ class Cost:
     def steps(
         self, point: np.ndarray, residual: np.ndarray, slopes: np.ndarray, dampings: np.ndarray
     ) -> np.ndarray:
-        """Points to which an LM step leads inside the bounds, one for each damping, ``(D, n)``."""
-        hessian, gradient = np.diag(self.precision), self.precision * (point - self.mean)
-        pull = (slopes @ residual[..., None])[..., 0]
-        for place, squares, own in zip(self.places, slopes @ slopes.transpose(0, 2, 1), pull, strict=True):
-            hessian[np.ix_(place, place)] += squares
-            gradient[place] += own
-        diagonal = torch.as_tensor(hessian).diagonal()
-        # first states that are known exactly in some rows are stiff, and say nothing of the parameters' sizes
-        least = 1e-12 * diagonal[: self.n_f].amax().clamp_min(1e-300)
-        unit = diagonal.maximum(least).rsqrt().expand(len(dampings), -1)
-        low, high = (torch.as_tensor(limit - point).expand_as(unit) for limit in (self.low, self.high))
-        added, down = torch.as_tensor(dampings)[:, None].expand_as(unit), torch.as_tensor(gradient)[None]
-        step = bounded_lm_step(torch.as_tensor(hessian)[None], down, unit, added, low, high)[0]
-        return np.clip(point + (step * unit).numpy(), self.low, self.high)
+        """Points to which an LM step leads inside the bounds, one for each damping, ``(D, n)``.
+
+        First states follow the parameters; those that a bound holds stay, others end at it.
+        """
+        n_f, states, count = self.n_f, self.places[:, self.n_f :], len(dampings)
+        gradient = self.precision * (point - self.mean)
+        np.add.at(gradient, self.places, (slopes @ residual[..., None])[..., 0])
+        squares = slopes @ slopes.transpose(0, 2, 1)
+        hessian = squares[:, :n_f, :n_f].sum(0) + np.diag(self.precision[:n_f])
+        pull, now = gradient[states], point[states]
+        held = ((now <= self.low[states]) & (pull > 0)) | ((now >= self.high[states]) & (pull < 0))
+        loose, own = 1.0 - held, np.arange(states.shape[1])
+        cross = squares[:, n_f:, :n_f] * loose[..., None]
+        starts = squares[:, n_f:, n_f:] * (loose[:, None] * loose[..., None])
+        starts[:, own, own] += np.where(held, 1.0, self.precision[states])
+        starts = np.tile(starts, (count, 1, 1, 1))
+        starts[:, :, own, own] *= 1.0 + dampings[:, None, None]
+        right = np.concatenate([cross, (pull * loose)[..., None]], 2)
+        back = np.linalg.solve(starts, np.broadcast_to(right, (count, *right.shape)))
+        through = (cross.transpose(0, 2, 1) @ back).sum(1)
+        unit = np.diagonal(hessian)
+        unit = torch.as_tensor(np.maximum(unit, max(1e-12 * unit.max(), 1e-300)) ** -0.5).expand(count, -1)
+        low, high = (
+            torch.as_tensor((limit - point)[:n_f]).expand_as(unit) for limit in (self.low, self.high)
+        )
+        step = bounded_lm_step(
+            torch.as_tensor(hessian - through[..., :-1]),
+            torch.as_tensor(gradient[:n_f] - through[..., -1]),
+            unit, torch.as_tensor(dampings)[:, None].expand_as(unit), low, high,
+        )[0]  # fmt: skip
+        shift = (step * unit).numpy()
+        follow = -back[..., -1] - (back[..., :-1] @ shift[:, None, :, None])[..., 0]
+        shift = np.hstack([shift, follow.transpose(0, 2, 1).reshape(count, -1)])
+        return np.clip(point + shift, self.low, self.high)
 
     def promised(self, to: np.ndarray, point: np.ndarray, residual: np.ndarray, slopes: np.ndarray) -> float:
         """Cost that slopes at a point promise at another one."""
@@ -266,12 +286,13 @@ def finite_difference_fit(
     begin: Slopes | None = None,
     tangents: bool = True,
     shares: Sequence[float] = STEPS,
+    least_gain: float = 0.0,
 ) -> FitResult:
     """Fit one parameter set and the first states of all rows of a batch.
 
-    With ``near`` the fit is a coarse one, which ends where it comes to nothing: only what the neighbouring model lacks
-    is simulated for the first slopes, and every step updates them by Broyden's formula (C. G. Broyden, Math. Comp. 19,
-    1965) instead of new ones.
+    With ``near`` the fit is a coarse one, which ends where it comes to nothing: only what the neighbouring model lacks,
+    if anything, is simulated for the first slopes, and every step updates them by Broyden's formula (C. G. Broyden,
+    Math. Comp. 19, 1965) instead of new ones.
 
     Args:
         system: model with start values and bounds.
@@ -280,9 +301,10 @@ def finite_difference_fit(
         iterations: steps at most.
         x0: where the search for the first states starts, ``(R, n_x)`` (default: those of ``near``, else as measured).
         near: slopes of a model close to the start, to begin with.
-        begin: slopes at the start itself, where they are known.
+        begin: slopes at the start itself, where they are known and others shall follow.
         tangents: whether the result has a Jacobian; without one it has no standard errors, and is had sooner.
         shares: finite steps, as shares of the parameters, with each of which the fit goes on until it gains nothing.
+        least_gain: share of the cost beyond the noise's, half a unit a sample, below which a gain is none.
 
     Raises:
         InputError: nothing to estimate.
@@ -293,7 +315,8 @@ def finite_difference_fit(
     damping, stage, history = 1e-2, 0, [float(cost.values(point[None], residual)[0])]
     known = near or begin
     jacobian = None if known is None else cost.slopes(point, residual, shares[0], known)
-    fresh, shorter = begin is not None, False
+    fresh, shorter = known is not None and known.parameters.keys() >= set(cost.keys), False
+    noise = 0.5 * float((batch.weight > 0).sum())
     while stage < len(shares) and len(history) <= iterations:
         if jacobian is None:
             jacobian, fresh = cost.slopes(point, residual, shares[stage]), True
@@ -303,21 +326,22 @@ def finite_difference_fit(
         costs = cost.values(points, trials)
         best = int(np.nanargmin(costs))
         gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
+        nothing = gained < max(SETTLED * history[-1], least_gain * (history[-1] - noise))
         promised = partial(cost.promised, points[0], point, residual, jacobian)
         if near is not None and _idle(near, len(history), least, promised):
             stage = len(shares)
-        elif near is not None and gained < SETTLED * history[-1] and len(history) > 1:
+        elif near is not None and nothing and (fresh or len(history) > 1):
             stage, shorter = len(shares) if shorter else stage, not shorter
-        elif near is None and gained < SETTLED * history[-1] and fresh:
+        elif near is None and nothing and fresh:
             stage, jacobian, damping = stage + 1, None, 1e-2
-        elif gained < POOR * history[-1] and (near is None or len(history) == 1):
+        elif gained < POOR * history[-1] and (near is None or (len(history) == 1 and not fresh)):
             jacobian = None
         else:
             _broyden(jacobian, (points[best] - point)[cost.places], trials[best] - residual)
             fresh = False
         if gained > 0:
             point, residual, damping = points[best], trials[best], float(dampings[best])
-        if shorter and gained < SETTLED * history[-1]:  # the same slopes are tried by shorter steps, once
+        if shorter and nothing:  # the same slopes are tried by shorter steps, once
             damping *= SHORTER
         history.append(least)
     shape, n_f = batch.y.shape, cost.n_f
