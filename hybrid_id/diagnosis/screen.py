@@ -199,11 +199,11 @@ def _from_afar(
     def again(some: Sequence[FittedModel]) -> list[Task]:
         return [Task(e.effects, e.system) for e in some]
 
-    short = fits.over(Horizon("windows", WINDOW))
+    short, first = (fits.over(Horizon("windows", WINDOW, every=k)) for k in (1, 2))
 
     def over_windows(some: Sequence[Task], most: int) -> list[FittedModel]:
-        # from so far a few steps do not tell yet who ends where
-        return run(short, again(run(short, some, COARSE)[:most]), FINER)
+        # from so far a few steps do not tell yet who ends where, nor do they need every window
+        return run(short, again(run(first, some, COARSE)[:most]), FINER)
 
     ends = over_windows(seen, PROMISING)
     start = short.run([Task(before.effects, before.system)], FINER)[0] if ends else None

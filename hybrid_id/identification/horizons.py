@@ -53,11 +53,13 @@ class Horizon:
         kind: "whole" records, "strokes" (from rest to rest), or "windows" of one length.
         seconds: length of the windows; 0 for the other kinds.
         reason: why it was chosen, in words; empty where the user chose it.
+        every: so many pieces on is the next that is cut: a first look at many models needs only some.
     """
 
     kind: Kind = "whole"
     seconds: float = 0.0
     reason: str = ""
+    every: int = 1
 
     def __post_init__(self) -> None:
         if (self.kind == "windows") != (0.0 < self.seconds < np.inf):
@@ -124,9 +126,11 @@ class Horizon:
             engine: how.
             batch: whole records, prepared for it.
         """
-        if self.kind == "windows":
-            return windows(system, engine, batch, self.seconds)
-        return strokes(system, engine, batch) if self.kind == "strokes" else batch
+        if self.kind == "whole":
+            return batch
+        by_length = self.kind == "windows"
+        pieces = windows(system, engine, batch, self.seconds) if by_length else strokes(system, engine, batch)
+        return pieces if self.every == 1 else pieces.take(torch.arange(0, pieces.rows, self.every))
 
 
 WHOLE = Horizon()
