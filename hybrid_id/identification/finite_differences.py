@@ -344,15 +344,27 @@ def finite_difference_fit(
         if shorter and nothing:  # the same slopes are tried by shorter steps, once
             damping *= SHORTER
         history.append(least)
-    shape, n_f = batch.y.shape, cost.n_f
-    found: tuple[np.ndarray, ...] = ()
-    runs = residual.reshape(shape)
+    if tangents and (jacobian is None or near is None):
+        jacobian = cost.slopes(point, residual, shares[-1])
+    status = "converged" if stage == len(shares) else "max_iterations"
+    return _result(cost, point, residual, jacobian if tangents else None, status, history)
+
+
+def _result(
+    cost: Cost,
+    point: np.ndarray,
+    residual: np.ndarray,
+    slopes: np.ndarray | None,
+    status: str,
+    history: Sequence[float],
+) -> FitResult:
+    """What a fit says that has ended at a point, with the slopes there, if it has any."""
+    system, batch, n_f = cost.rollouts.system, cost.rollouts.batch, cost.n_f
+    shape, jacobian = batch.y.shape, tuple[np.ndarray, ...]()
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
-    if tangents:
-        if jacobian is None or near is None:
-            jacobian = cost.slopes(point, residual, shares[-1])
-        reduced = cost.eliminated(jacobian)[0].reshape(len(keep), n_f, *shape[1:])
-        found = tuple(-part[:, k].transpose(1, 2, 0) for part, k in zip(reduced, keep, strict=True))
+    if slopes is not None:
+        along = cost.eliminated(slopes)[0].reshape(batch.rows, n_f, *shape[1:])
+        jacobian = tuple(-part[:, k].transpose(1, 2, 0) for part, k in zip(along, keep, strict=True))
     info = [system.table[i] for i in cost.rollouts.free]
     names = tuple(i.name for i in info)
     return FitResult(
@@ -360,13 +372,13 @@ def finite_difference_fit(
         names=names,
         values=point[:n_f],
         units=tuple(i.unit for i in info),
-        status="converged" if stage == len(shares) else "max_iterations",
+        status=status,
         records=batch.names,
         cost=history[-1],
         n_samples=int((batch.weight > 0).sum()),
         iterations=len(history) - 1,
-        jacobian=found,
-        residual=tuple(part[k] for part, k in zip(runs, keep, strict=True)),
+        jacobian=jacobian,
+        residual=tuple(part[k] for part, k in zip(residual.reshape(shape), keep, strict=True)),
         prior_precision=cost.precision[:n_f],
         x0=cost.first_states(point[None])[0],
         engine=cost.rollouts.engine,
