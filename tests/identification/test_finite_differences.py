@@ -11,6 +11,7 @@ from drives import batch_of, multisine, rigid_drive
 from hybrid_id.components import Backlash, Delay, Gravity, Viscous
 from hybrid_id.errors import InputError
 from hybrid_id.identification.finite_differences import (
+    FEW,
     Cost,
     Rollouts,
     _broyden,
@@ -71,6 +72,35 @@ def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
     assert set(near.parameters) == {(i.component, i.symbol) for i in plain.table if i.spec.estimate}
     # further steps of the look simulate no slope anew, and come to where the fit comes to
     assert finite_difference_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
+
+
+def test_slopes_that_are_known_are_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From all records' slopes one record alone is fitted by steps alone, to a small part of a standard error."""
+    batch = measured(rigid_drive(), DRY)
+    all_of_them = finite_difference_fit(rigid_drive(), batch, engine=DRY, iterations=20)
+    slopes = slopes_at(all_of_them.system, batch, DRY, all_of_them.x0)
+    one, start = batch.take(torch.tensor([1])), all_of_them.system
+    settings = {"engine": DRY, "iterations": 8, "x0": all_of_them.x0[1:]}
+    anew = finite_difference_fit(start, one, **settings)
+    lanes, run = [], Rollouts.residuals
+    monkeypatch.setattr(Rollouts, "residuals", lambda *a: lanes.append(len(a[1])) or run(*a))
+    again = finite_difference_fit(start, one, near=slopes.of_rows(np.array([1])), tangents=False, **settings)
+    assert set(lanes[1:]) == {len(FEW)}
+    flat = anew.jacobian[0].reshape(-1, len(anew.names))
+    std = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)))
+    assert (np.abs(again.values - anew.values) < 0.1 * std).all()
+
+
+def test_a_fit_that_gains_little_beyond_noise_ends() -> None:
+    truth = rigid_drive().with_component("joint1/load", Gravity(G_l=0.3, q_0=Bounded(0.8, -6.0, 6.0, "rad")))
+    for system, sooner in ((truth, True), (rigid_drive(), False)):
+        batch = measured(system, DRY)
+        start = rigid_drive().with_values({"F_c": 0.02})
+        long, short = (
+            finite_difference_fit(start, batch, engine=DRY, iterations=40, least_gain=g) for g in (0.0, 0.05)
+        )
+        assert (short.iterations < long.iterations) == sooner
+        assert short.cost <= 1.2 * long.cost
 
 
 def test_a_look_begins_at_the_first_states_of_its_neighbour() -> None:

@@ -95,6 +95,14 @@ def test_strokes_begin_at_rests_and_follow_each_other_without_overlap(sound: lis
     assert torch.equal(part.y[1, 0], batch.y[0, last])
 
 
+def test_a_first_look_takes_some_of_the_pieces(sound: list[Record]) -> None:
+    batch = make_batch(TRUTH, sound)
+    for horizon in (Horizon("strokes"), Horizon("windows", 0.5)):
+        every, some = (replace(horizon, every=k).cut(TRUTH, ENGINE, batch) for k in (1, 3))
+        assert torch.equal(some.y, every.y[::3])
+        assert some.names == every.names[::3]
+
+
 def test_records_that_never_rest_stay_whole() -> None:
     batch = make_batch(TRUTH, drifting([multisine(0)], 0.0))
     assert Horizon("strokes").cut(TRUTH, ENGINE, batch) is batch
