@@ -69,11 +69,13 @@ SUBSTEP_RATE = 4000.0
 """Sub-steps that a candidate needs at most [1/s]: they follow what swings at 300 Hz. More where the nominal model
 takes more than half as many: twice its own."""
 SLOW = 1e-3
-"""Share of what a fit leaves beyond noise that a few steps have to gain, for it to go on."""
+"""Share of what a fit leaves beyond noise that a few steps, or one by new finite slopes, have to gain for another."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
 MOST_REASON = 200
 """Characters of why a fit has failed."""
+FAILURES = InputError, RuntimeError, np.linalg.LinAlgError
+"""What a fit may end with that has gone astray."""
 PARALLEL_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
@@ -357,7 +359,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
             if judge
             else validation(result.residual, batch.sample_time, batch.names)
         )
-    except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
+    except FAILURES as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
         return Unfitted(task.effects, shortened(" ".join(str(error).split()), MOST_REASON))
@@ -471,7 +473,7 @@ def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bo
     """
     ends = _both_ways(how, task.system, batch, iterations, task.cost, task.x0)
     if halting and iterations == FULL and min(autocorrelation(end.residual) for end in ends) > CRITERIA.white:
-        with suppress(InputError, RuntimeError):
+        with suppress(*FAILURES):
             near = _within(how, task.system, windows(task.system, how, batch, WINDOW), FINER)
             ends += _both_ways(how, near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
@@ -489,7 +491,7 @@ def _both_ways(
     noise = (2.0 * cost / float((batch.weight > 0).sum())) ** 0.5
     options, ends = Options(max_iterations=iterations, tolerance=0.05 * max(noise, 1.0), least_gain=SLOW), []
     last = iterations == FULL
-    with suppress(InputError, RuntimeError):
+    with suppress(*FAILURES):
         known = None if x0 is None else torch.as_tensor(x0)
         warm = last and known is None
         exact = fit(system, batch, pooled=True, engine=how, options=options, warm=warm, x0=known)[0]
@@ -510,7 +512,7 @@ def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitR
     """
     ends = [_within(fits.engine, task.system, batch, iterations)]
     if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
-        with suppress(InputError, RuntimeError):
+        with suppress(*FAILURES):
             short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
             near = _within(fits.engine, task.system, short, iterations)
             ends.append(_within(fits.engine, near.system, batch, iterations))

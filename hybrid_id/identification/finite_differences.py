@@ -9,9 +9,8 @@ rollout, and so is every trial step: the LM step of :mod:`.least_squares` for ma
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -167,7 +166,7 @@ class Cost:
         runs = self.rollouts.residuals(points[:, : self.n_f], self.first_states(points))
         return runs.reshape(len(points), len(self.measured), -1)
 
-    def values(self, points: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+    def costs(self, points: np.ndarray, residuals: np.ndarray) -> np.ndarray:
         """Cost at points ``(P, n)``, that of the priors included, ``(P,)``."""
         flat = residuals.reshape(len(points), 1, -1)
         data = (flat @ flat.transpose(0, 2, 1))[:, 0, 0]
@@ -214,7 +213,7 @@ class Cost:
     ) -> np.ndarray:
         """Points to which an LM step leads inside the bounds, one for each damping, ``(D, n)``.
 
-        First states follow the parameters; those that a bound holds stay, others end at it.
+        First states follow the parameters, damped as these are; those that a bound holds stay, others end at it.
         """
         n_f, states, count = self.n_f, self.places[:, self.n_f :], len(dampings)
         gradient = self.precision * (point - self.mean)
@@ -223,13 +222,13 @@ class Cost:
         hessian = squares[:, :n_f, :n_f].sum(0) + np.diag(self.precision[:n_f])
         pull, now = gradient[states], point[states]
         held = ((now <= self.low[states]) & (pull > 0)) | ((now >= self.high[states]) & (pull < 0))
-        loose, own = 1.0 - held, np.arange(states.shape[1])
-        cross = squares[:, n_f:, :n_f] * loose[..., None]
-        starts = squares[:, n_f:, n_f:] * (loose[:, None] * loose[..., None])
+        free, own = 1.0 - held, np.arange(states.shape[1])
+        cross = squares[:, n_f:, :n_f] * free[..., None]
+        starts = squares[:, n_f:, n_f:] * (free[:, None] * free[..., None])
         starts[:, own, own] += np.where(held, 1.0, self.precision[states])
         starts = np.tile(starts, (count, 1, 1, 1))
         starts[:, :, own, own] *= 1.0 + dampings[:, None, None]
-        right = np.concatenate([cross, (pull * loose)[..., None]], 2)
+        right = np.concatenate([cross, (pull * free)[..., None]], 2)
         back = np.linalg.solve(starts, np.broadcast_to(right, (count, *right.shape)))
         through = (cross.transpose(0, 2, 1) @ back).sum(1)
         unit = np.diagonal(hessian)
@@ -250,21 +249,15 @@ class Cost:
     def promised(self, to: np.ndarray, point: np.ndarray, residual: np.ndarray, slopes: np.ndarray) -> float:
         """Cost that slopes at a point promise at another one."""
         left = residual + ((to - point)[self.places][:, None] @ slopes)[:, 0]
-        return float(self.values(to[None], left)[0])
-
-    def shared(self, point: np.ndarray, slopes: np.ndarray) -> Slopes:
-        """Slopes at a point, for models that have most of their parameters from this one."""
-        columns, first = slopes[:, : self.n_f].swapaxes(0, 1), slopes[:, self.n_f :].swapaxes(0, 1)
-        x0 = self.first_states(point[None])[0][:, self.loose].T
-        of_keys = dict(zip(self.keys, columns, strict=True))
-        first, x0 = (dict(zip(self.states, of, strict=True)) for of in (first, x0))
-        return Slopes(of_keys, first, x0)
+        return float(self.costs(to[None], left)[0])
 
     def eliminated(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes by the parameters while each row's first states follow these, ``(R, n_f, T n_y)``, and how they do.
+        """Slopes by the parameters while each row's first states follow these, and how they do.
+
+        As in :meth:`steps`, but undamped and whatever the bounds.
 
         Returns:
-            These slopes, and the change of a point's first states by each parameter, ``(n_s R, n_f)``.
+            These slopes, ``(R, n_f, T n_y)``, and the change of a point's first states by each parameter, ``(n_s R, n_f)``.
         """
         by_values, starts = slopes[:, : self.n_f], slopes[:, self.n_f :]
         squares = starts @ starts.transpose(0, 2, 1)
@@ -291,8 +284,8 @@ def finite_difference_fit(
     """Fit one parameter set and the first states of all rows of a batch.
 
     With ``near`` the fit is a coarse one, which ends where it comes to nothing: only what the neighbouring model lacks,
-    if anything, is simulated for the first slopes, and every step updates them by Broyden's formula (C. G. Broyden,
-    Math. Comp. 19, 1965) instead of new ones.
+    if anything, is simulated for the first slopes, and every step updates them (:func:`_broyden`); new ones are
+    simulated only where the first step by borrowed ones gains little.
 
     Args:
         system: model with start values and bounds.
@@ -301,7 +294,7 @@ def finite_difference_fit(
         iterations: steps at most.
         x0: where the search for the first states starts, ``(R, n_x)`` (default: those of ``near``, else as measured).
         near: slopes of a model close to the start, to begin with.
-        begin: slopes at the start itself, where they are known and others shall follow.
+        begin: slopes at the start itself, where they are known; further ones are simulated.
         tangents: whether the result has a Jacobian; without one it has no standard errors, and is had sooner.
         shares: finite steps, as shares of the parameters, with each of which the fit goes on until it gains nothing.
         least_gain: share of the cost beyond the noise's, half a unit a sample, below which a gain is none.
@@ -312,23 +305,29 @@ def finite_difference_fit(
     cost = Cost(system, batch, engine)
     point = cost.point(cost.start, _first(system, batch, near) if x0 is None else x0)
     residual = cost.residuals(point[None])[0]
-    damping, stage, history = 1e-2, 0, [float(cost.values(point[None], residual)[0])]
+    damping, stage, history = 1e-2, 0, [float(cost.costs(point[None], residual)[0])]
     known = near or begin
     jacobian = None if known is None else cost.slopes(point, residual, shares[0], known)
-    fresh, shorter = known is not None and known.parameters.keys() >= set(cost.keys), False
+    complete = known is not None and known.parameters.keys() >= set(cost.keys)
+    fresh, shorter = complete, False
     noise = 0.5 * float((batch.weight > 0).sum())
     while stage < len(shares) and len(history) <= iterations:
         if jacobian is None:
             jacobian, fresh = cost.slopes(point, residual, shares[stage]), True
-        dampings = np.clip(damping * (DAMPINGS if near is None else FEW), LEAST_DAMPING, MOST_DAMPING)
+        dampings = np.clip(
+            damping * (DAMPINGS if near is None or complete else FEW), LEAST_DAMPING, MOST_DAMPING
+        )
         points = cost.steps(point, residual, jacobian, dampings)
         trials = cost.residuals(points)
-        costs = cost.values(points, trials)
+        costs = cost.costs(points, trials)
         best = int(np.nanargmin(costs))
         gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
         nothing = gained < max(SETTLED * history[-1], least_gain * (history[-1] - noise))
-        promised = partial(cost.promised, points[0], point, residual, jacobian)
-        if near is not None and _idle(near, len(history), least, promised):
+        if (
+            near is not None
+            and _may_be_idle(near, len(history), least)
+            and cost.promised(points[0], point, residual, jacobian) > (1.0 - POOR) * near.least
+        ):
             stage = len(shares)
         elif near is not None and nothing and (fresh or len(history) > 1):
             stage, shorter = len(shares) if shorter else stage, not shorter
@@ -360,7 +359,8 @@ def _result(
 ) -> FitResult:
     """What a fit says that has ended at a point, with the slopes there, if it has any."""
     system, batch, n_f = cost.rollouts.system, cost.rollouts.batch, cost.n_f
-    shape, jacobian = batch.y.shape, tuple[np.ndarray, ...]()
+    shape = batch.y.shape
+    jacobian: tuple[np.ndarray, ...] = ()
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
     if slopes is not None:
         along = cost.eliminated(slopes)[0].reshape(batch.rows, n_f, *shape[1:])
@@ -398,24 +398,29 @@ def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | Non
     """Slopes at a model's own values, from first states ``(R, n_x)``, by default the measured ones."""
     cost = Cost(system, batch, engine)
     point = cost.point(cost.start, cost.measured if x0 is None else x0)
-    return cost.shared(point, cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
+    slopes = cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]).swapaxes(0, 1)
+    first_states = cost.first_states(point[None])[0][:, cost.loose].T
+    return Slopes(
+        parameters=dict(zip(cost.keys, slopes[: cost.n_f], strict=True)),
+        first=dict(zip(cost.states, slopes[cost.n_f :], strict=True)),
+        x0=dict(zip(cost.states, first_states, strict=True)),
+    )
 
 
-def _idle(near: Slopes, iteration: int, cost: float, predicted: Callable[[], float]) -> bool:
-    """Whether a coarse fit has come to nothing: no better than what it starts beside, and its slopes promise no more.
+def _may_be_idle(near: Slopes, iteration: int, cost: float) -> bool:
+    """Whether a coarse fit is no better than what it starts beside, and what its slopes promise may be believed.
+    r
 
-    They are believed where it has come near, or after a few steps; ``predicted`` is the cost that they promise.
+        They may where it has come near, or after a few steps.
     """
-    interesting = (1.0 - POOR) * near.least
-    if cost <= interesting or (cost >= CLOSE * near.least and iteration < PATIENCE):
-        return False
-    return predicted() > interesting
+    return cost > (1.0 - POOR) * near.least and (cost < CLOSE * near.least or iteration >= PATIENCE)
 
 
 def _broyden(slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> None:
     """Let slopes ``(R, n, T n_y)`` tell the change that a step ``(R, n)`` has brought, otherwise stay as they were.
 
-    In scaled parameters, and for each row by what it depends on alone (L. K. Schubert, Math. Comp. 24, 1970).
+    Broyden's formula in scaled parameters (Math. Comp. 19, 1965), for each row by what it depends on alone (L. K.
+    Schubert, Math. Comp. 24, 1970).
     """
     along = np.einsum("rkm,rkm->rk", slopes, slopes) * step
     length = (along * step).sum(1, keepdims=True)

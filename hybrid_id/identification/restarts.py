@@ -130,16 +130,15 @@ def perturbed_restarts(result: FitResult, batch: Batch, *, seed: int = 0, tries:
             n_f, point = cost.n_f, cost.point(result.values, result.x0)
             slopes = cost.slopes(point, cost.residuals(point[None])[0], STEPS[-1])
             tangents, follow = cost.eliminated(slopes)
-            information = (tangents @ slopes[:, :n_f].transpose(0, 2, 1)).sum(0) + np.diag(
-                cost.precision[:n_f]
-            )
+            information = np.diag(cost.precision[:n_f]) + (follow.T * cost.precision[n_f:]) @ follow
+            information += (tangents @ tangents.transpose(0, 2, 1)).sum(0)
         size, axes, far = _reach(information, share * result.cost)
         step = (generator.standard_normal((LANES, n_f)) * far) @ axes.T / size
         most = 0.3 * np.maximum(np.abs(result.values), cost.scale)
         points = np.clip(result.values + np.clip(step, -most, most), cost.low[:n_f], cost.high[:n_f])
         moved = np.hstack([points, point[n_f:] + (points - result.values) @ follow.T])
         moved = np.clip(moved, cost.low, cost.high)
-        best = points[int(cost.values(moved, cost.residuals(moved)).argmin())]
+        best = points[int(cost.costs(moved, cost.residuals(moved)).argmin())]
         start = result.system.with_values(dict(zip(result.names, best.tolist(), strict=True)))
         again = finite_difference_fit(start, batch, engine=result.engine, iterations=BETWEEN, x0=result.x0)
         if again.cost < (1.0 - SETTLED) * result.cost:

@@ -279,9 +279,10 @@ def forced(through: Tensor, a: Tensor, b: Tensor, inputs: Tensor) -> Tensor:
         inputs: each a column of its own, ``(R, T, n_w)``.
     """
     parts = [part.contiguous() for part in (through, a, b, inputs)]
+    plain = all(part.device.type == "cpu" and part.dtype == torch.float64 for part in parts)
     (rows, samples, n_y, n_x), n_w = through.shape, inputs.shape[-1]
     found, state = through.new_empty(rows, samples, n_y, n_w), through.new_zeros(2, n_x, n_w)
-    if (code := _condensing()) is not None:
+    if plain and (code := _condensing()) is not None:
         call(code, "forced", found, *state, *parts, rows, samples, n_x, n_y, n_w)
         return found
     now = state[0].expand(rows, n_x, n_w)

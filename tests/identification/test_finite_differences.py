@@ -11,7 +11,7 @@ from drives import batch_of, multisine, rigid_drive
 from hybrid_id.components import Backlash, Delay, Gravity, Viscous
 from hybrid_id.errors import InputError
 from hybrid_id.identification.finite_differences import (
-    FEW,
+    DAMPINGS,
     Cost,
     Rollouts,
     _broyden,
@@ -85,7 +85,7 @@ def test_slopes_that_are_known_are_not_simulated_again(monkeypatch: pytest.Monke
     lanes, run = [], Rollouts.residuals
     monkeypatch.setattr(Rollouts, "residuals", lambda *a: lanes.append(len(a[1])) or run(*a))
     again = finite_difference_fit(start, one, near=slopes.of_rows(np.array([1])), tangents=False, **settings)
-    assert set(lanes[1:]) == {len(FEW)}
+    assert set(lanes[1:]) == {len(DAMPINGS)}
     flat = anew.jacobian[0].reshape(-1, len(anew.names))
     std = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)))
     assert (np.abs(again.values - anew.values) < 0.1 * std).all()
@@ -305,7 +305,7 @@ def test_updated_slopes_tell_the_step_that_was_taken() -> None:
     kept = slopes[:, 0].copy()
     _broyden(slopes, step[cost.places], change)
     promised = cost.promised(point + step, point, residual, slopes)
-    assert promised == pytest.approx(float(cost.values((point + step)[None], residual + change)[0]))
+    assert promised == pytest.approx(float(cost.costs((point + step)[None], residual + change)[0]))
     np.testing.assert_array_equal(slopes[:, 0], kept)
 
 
@@ -314,7 +314,7 @@ def test_a_step_is_that_of_all_rows_together() -> None:
     batch = measured(system, DRY)
     cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
     point, rows = cost.point(cost.start, cost.measured), batch.rows
-    slopes = 1e-3 * rng.standard_normal((rows, cost.n_f + len(cost.states), 400)) / cost.low.size
+    slopes = 1e-3 * rng.standard_normal((rows, cost.n_f + len(cost.states), 400))
     residual = 1e-9 * rng.standard_normal((rows, 400))
     whole = np.zeros((rows * 400, len(point)))
     for row, place in enumerate(cost.places):

@@ -95,12 +95,19 @@ def test_strokes_begin_at_rests_and_follow_each_other_without_overlap(sound: lis
     assert torch.equal(part.y[1, 0], batch.y[0, last])
 
 
-def test_a_first_look_takes_some_of_the_pieces(sound: list[Record]) -> None:
+def test_a_share_of_the_pieces_is_spread_over_each_record(sound: list[Record]) -> None:
     batch = make_batch(TRUTH, sound)
-    for horizon in (Horizon("strokes"), Horizon("windows", 0.5)):
-        every, some = (replace(horizon, every=k).cut(TRUTH, ENGINE, batch) for k in (1, 3))
-        assert torch.equal(some.y, every.y[::3])
-        assert some.names == every.names[::3]
+    for horizon in (Horizon("strokes"), Horizon("windows", 0.25)):
+        every, half, few = (replace(horizon, share=s).cut(TRUTH, ENGINE, batch) for s in (1.0, 0.5, 1e-6))
+        assert set(half.names) == set(every.names)
+        assert 0.3 < half.rows / every.rows < 0.7
+        assert few.names == batch.names
+        assert torch.equal(half.y[0], every.y[0])
+    assert replace(horizon, share=0.5).cut(TRUTH, ENGINE, batch.take(torch.tensor([0]))).rows > 1
+    short = batch.windows(100, 100, batch.x0_std)[0]
+    assert replace(horizon, share=0.5).cut(TRUTH, ENGINE, short) is short
+    with pytest.raises(InputError, match="give more than 0"):
+        Horizon("windows", 0.5, share=0.0)
 
 
 def test_records_that_never_rest_stay_whole() -> None:
