@@ -257,7 +257,7 @@ class Cost:
         As in :meth:`steps`, but undamped and whatever the bounds.
 
         Returns:
-            These slopes, ``(R, n_f, T n_y)``, and the change of a point's first states by each parameter, ``(n_s R, n_f)``.
+            These slopes, ``(R, n_f, T n_y)``, and the change of a point's first states by the parameters, ``(n_s R, n_f)``.
         """
         by_values, starts = slopes[:, : self.n_f], slopes[:, self.n_f :]
         squares = starts @ starts.transpose(0, 2, 1)
@@ -409,9 +409,8 @@ def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | Non
 
 def _may_be_idle(near: Slopes, iteration: int, cost: float) -> bool:
     """Whether a coarse fit is no better than what it starts beside, and what its slopes promise may be believed.
-    r
 
-        They may where it has come near, or after a few steps.
+    It may where the fit has come near, or after a few steps.
     """
     return cost > (1.0 - POOR) * near.least and (cost < CLOSE * near.least or iteration >= PATIENCE)
 
