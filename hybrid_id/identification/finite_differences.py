@@ -257,7 +257,7 @@ class Cost:
         As in :meth:`steps`, but undamped and whatever the bounds.
 
         Returns:
-            These slopes, ``(R, n_f, T n_y)``, and the change of a point's first states by the parameters, ``(n_s R, n_f)``.
+            These slopes, ``(R, n_f, T n_y)``, and the slopes of a point's first states, ``(n_s R, n_f)``.
         """
         by_values, starts = slopes[:, : self.n_f], slopes[:, self.n_f :]
         squares = starts @ starts.transpose(0, 2, 1)
