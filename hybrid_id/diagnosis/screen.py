@@ -20,8 +20,6 @@ from hybrid_id.systems.chain import System
 
 PROMISING, STARTS, FINALISTS = 12, 4, 4
 """Effects that are fitted finer, further initial values of the best of them, and effects that are fitted to the end."""
-FIRST_LOOK = 0.5
-"""Share of the short windows that coarse fits from afar are taken to."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted further."""
 SAME = 2e-3
@@ -201,11 +199,11 @@ def _from_afar(
     def again(some: Sequence[FittedModel]) -> list[Task]:
         return [Task(e.effects, e.system) for e in some]
 
-    short, first = (fits.over(Horizon("windows", WINDOW, share=share)) for share in (1.0, FIRST_LOOK))
+    short = fits.over(Horizon("windows", WINDOW))
 
     def over_windows(some: Sequence[Task], most: int) -> list[FittedModel]:
-        # from so far a few steps do not tell yet who ends where, nor do they need every window
-        return run(short, again(run(first, some, COARSE)[:most]), FINER)
+        # from so far a few steps do not tell yet who ends where
+        return run(short, again(run(short, some, COARSE)[:most]), FINER)
 
     ends = over_windows(seen, PROMISING)
     start = short.run([Task(before.effects, before.system)], FINER)[0] if ends else None

@@ -45,10 +45,6 @@ SURELY = 1.5
 """Ratio of two such standard errors that is no accident: 1 + 2 * sqrt(2) * 18 %."""
 
 
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-"""Whose multiples, less whole numbers, fill the unit interval evenly and never come again."""
-
-
 @dataclass(frozen=True)
 class Horizon:
     """How long a free run is.
@@ -57,17 +53,13 @@ class Horizon:
         kind: "whole" records, "strokes" (from rest to rest), or "windows" of one length.
         seconds: length of the windows; 0 for the other kinds.
         reason: why it was chosen, in words; empty where the user chose it.
-        share: of the pieces of each record, which a first look at many models takes; one of each at least.
     """
 
     kind: Kind = "whole"
     seconds: float = 0.0
     reason: str = ""
-    share: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.share <= 1.0:
-            raise InputError(f"A share of {self.share:g} of the pieces is none; give more than 0, at most 1.")
         if (self.kind == "windows") != (0.0 < self.seconds < np.inf):
             raise InputError(
                 f"A horizon of {self.kind} has {self.seconds:g} s; give windows a positive length, others none."
@@ -122,8 +114,7 @@ class Horizon:
     def cut(self, system: System, engine: Engine, batch: Batch) -> Batch:
         """The pieces of a batch over which a model runs free; the batch itself where there is only one a record.
 
-        Every piece keeps the name of its record, and the pieces of a record follow each other without overlap; a share
-        of them is spread over the record so that it meets no rhythm of the motion (multiples of the golden ratio). Its
+        Every piece keeps the name of its record, and the pieces of a record follow each other without overlap. Its
         first state is as measured, free within its uncertainty. What nobody has measured (heat, bristles, the twist of
         a gear without an encoder at its link) begins as in a free run of the model and is held there: free to move, it
         would explain whatever happens in so short a time.
@@ -134,13 +125,8 @@ class Horizon:
             batch: whole records, prepared for it.
         """
         if self.kind == "windows":
-            pieces = windows(system, engine, batch, self.seconds)
-        else:
-            pieces = strokes(system, engine, batch) if self.kind == "strokes" else batch
-        if self.share == 1.0 or pieces is batch:
-            return pieces
-        number = [pieces.names[:k].count(name) for k, name in enumerate(pieces.names)]
-        return pieces.take((torch.tensor(number) * GOLDEN % 1.0 < self.share).nonzero().flatten())
+            return windows(system, engine, batch, self.seconds)
+        return strokes(system, engine, batch) if self.kind == "strokes" else batch
 
 
 WHOLE = Horizon()

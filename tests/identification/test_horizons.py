@@ -95,21 +95,6 @@ def test_strokes_begin_at_rests_and_follow_each_other_without_overlap(sound: lis
     assert torch.equal(part.y[1, 0], batch.y[0, last])
 
 
-def test_a_share_of_the_pieces_is_spread_over_each_record(sound: list[Record]) -> None:
-    batch = make_batch(TRUTH, sound)
-    for horizon in (Horizon("strokes"), Horizon("windows", 0.25)):
-        every, half, few = (replace(horizon, share=s).cut(TRUTH, ENGINE, batch) for s in (1.0, 0.5, 1e-6))
-        assert set(half.names) == set(every.names)
-        assert 0.3 < half.rows / every.rows < 0.7
-        assert few.names == batch.names
-        assert torch.equal(half.y[0], every.y[0])
-    assert replace(horizon, share=0.5).cut(TRUTH, ENGINE, batch.take(torch.tensor([0]))).rows > 1
-    short = batch.windows(100, 100, batch.x0_std)[0]
-    assert replace(horizon, share=0.5).cut(TRUTH, ENGINE, short) is short
-    with pytest.raises(InputError, match="give more than 0"):
-        Horizon("windows", 0.5, share=0.0)
-
-
 def test_records_that_never_rest_stay_whole() -> None:
     batch = make_batch(TRUTH, drifting([multisine(0)], 0.0))
     assert Horizon("strokes").cut(TRUTH, ENGINE, batch) is batch
