@@ -500,8 +500,9 @@ def _both_ways(
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
     enough = ends and (autocorrelation(ends[0].residual) < CRITERIA.white if last else ends[0].cost <= cost)
     if not enough:
-        settings = {"iterations": iterations, "x0": x0, "least_gain": SLOW}
-        ends.append(finite_difference_fit(system, batch, engine=how, **settings))
+        ends.append(
+            finite_difference_fit(system, batch, engine=how, iterations=iterations, x0=x0, least_gain=SLOW)
+        )
     return ends
 
 

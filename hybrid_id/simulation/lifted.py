@@ -255,10 +255,7 @@ def condense_compiled(x: Tensor, a: Tensor, b: Tensor, x_next: Tensor) -> Tensor
         b: d x_next / d theta, ``(R, T, n_x, n_f)``.
         x_next: Phi of each node, ``(R, T, n_x)``.
     """
-    parts = (x, a, b, x_next)
-    if any(part.device.type != "cpu" or part.dtype != torch.float64 for part in parts):
-        return None
-    if (code := _condensing()) is None:
+    if (code := _code_for(x, a, b, x_next)) is None:
         return None
     (rows, samples, n_x), n_f = x.shape, b.shape[-1]
     chain = x.new_empty(rows, samples, n_x, n_x + n_f + 1)
@@ -279,10 +276,9 @@ def forced(through: Tensor, a: Tensor, b: Tensor, inputs: Tensor) -> Tensor:
         inputs: each a column of its own, ``(R, T, n_w)``.
     """
     parts = [part.contiguous() for part in (through, a, b, inputs)]
-    plain = all(part.device.type == "cpu" and part.dtype == torch.float64 for part in parts)
     (rows, samples, n_y, n_x), n_w = through.shape, inputs.shape[-1]
     found, state = through.new_empty(rows, samples, n_y, n_w), through.new_zeros(2, n_x, n_w)
-    if plain and (code := _condensing()) is not None:
+    if (code := _code_for(*parts)) is not None:
         call(code, "forced", found, *state, *parts, rows, samples, n_x, n_y, n_w)
         return found
     now = state[0].expand(rows, n_x, n_w)
@@ -290,6 +286,12 @@ def forced(through: Tensor, a: Tensor, b: Tensor, inputs: Tensor) -> Tensor:
         found[:, k] = through[:, k] @ now
         now = torch.baddbmm(b[:, k, :, None] * inputs[:, k, None], a[:, k], now)
     return found
+
+
+def _code_for(*parts: Tensor) -> ctypes.CDLL | None:
+    """The compiled recursions; None without a C compiler, and for numbers on a GPU or of another precision."""
+    plain = all(part.device.type == "cpu" and part.dtype == torch.float64 for part in parts)
+    return _condensing() if plain else None
 
 
 @functools.cache

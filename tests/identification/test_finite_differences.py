@@ -301,7 +301,7 @@ def test_updated_slopes_tell_the_step_that_was_taken() -> None:
     slopes = rng.standard_normal((batch.rows, cost.n_f + len(cost.states), 40))
     point, residual = rng.standard_normal(len(cost.mean)), rng.standard_normal((batch.rows, 40))
     step, change = rng.standard_normal(len(point)), rng.standard_normal((batch.rows, 40))
-    step[: cost.n_f][0] = 0.0
+    step[0] = 0.0
     kept = slopes[:, 0].copy()
     _broyden(slopes, step[cost.places], change)
     promised = cost.promised(point + step, point, residual, slopes)
