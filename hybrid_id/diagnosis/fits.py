@@ -60,7 +60,7 @@ STUCK = 2e-3
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
-"""How closely parameters are held where the model leaves structure; each is tried while it predicts better, and"""
+"""How closely parameters are held where the model leaves structure: ever closer, where that predicts better, and"""
 CLOSER = 0.99
 """by how much it has to, as a ratio of mean squares: what is held too closely lends its error to the first effect."""
 TRIES = 2
@@ -206,19 +206,20 @@ class Fits:
         return min(ends, key=lambda e: e.result.cost, default=None)
 
     def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
-        """The nominal model with its parameters held as closely as predicts records left out best."""
-        found, start = None, Task((), system)
+        """The nominal model with its parameters held as closely as predicts records left out best.
+
+        The first fit begins at the nominal values and at those of the free fit, whichever ends lower.
+        """
+        found, starts = None, [Task((), system), Task((), free.system, x0=free.result.x0)]
         for share in HOLDS:
-            held = replace(start, system=with_priors(start.system, system, free, share))
-            end = self.run([held], FULL)[0]
-            if end is None and found is None:  # its nominal values diverge, say
-                free_held = with_priors(free.system, system, free, share)
-                end = self.run([Task((), free_held, x0=free.result.x0)], FULL)[0]
-            if end is None or (
-                found is not None and end.validation.typical > CLOSER * found.validation.typical
-            ):
+            held = [replace(start, system=with_priors(start.system, system, free, share)) for start in starts]
+            ends = [end for end in self.run(held, FULL) if end is not None]
+            if not ends:
                 break
-            found, start = end, Task((), end.system, x0=end.result.x0)
+            end = min(ends, key=lambda e: e.result.cost)
+            starts = [Task((), end.system, x0=end.result.x0)]
+            if found is None or end.validation.typical <= CLOSER * found.validation.typical:
+                found = end
         return found
 
     def slopes(self, system: System, least: float, x0: np.ndarray | None = None) -> Slopes | None:
