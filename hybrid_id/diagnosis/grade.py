@@ -311,8 +311,9 @@ def _nested(
         def over(one: Validation, weight: np.ndarray = weight) -> float:
             return float(weight @ one.blocks / (weight @ one.sizes))
 
-        left = structural * over(ends[-1])
-        gap = max(over(ends[0]) - over(ends[-1]) + left, 1e-300)
+        left, explained = structural * over(ends[-1]), over(ends[0]) - over(ends[-1])
+        # of records that the effects serve worse than none, either part may be the greater: no share is more than all
+        gap = max(left + explained, left, -explained, 1e-300)
         for k, (before, some) in enumerate(rivals):
             draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
         draw[-1] = left / gap
