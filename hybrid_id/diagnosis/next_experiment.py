@@ -23,7 +23,7 @@ from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.least_squares import reduced
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.measures import DRIVES, estimate_noise
+from hybrid_id.records.measures import DRIVES, sensor_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
 from hybrid_id.simulation.batch import Batch
@@ -425,12 +425,8 @@ def _information(model: FittedModel) -> np.ndarray:
 
 
 def _noise(dataset: Dataset) -> dict[str, float]:
-    """Noise of each output, estimated from the train records where none is declared."""
-    known = {channel.name: channel.noise_std for channel in dataset.outputs}
-    return {
-        name: std or float(np.median([estimate_noise(r.outputs[name]) for r in dataset.train])) or 1.0
-        for name, std in known.items()
-    }
+    """Noise of each output; 1 where no record shows any."""
+    return {name: std or 1.0 for name, std in sensor_noise(dataset).items()}
 
 
 def _room(dataset: Dataset, joint: Joint, name: str) -> tuple[float, float]:

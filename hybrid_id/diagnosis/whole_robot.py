@@ -19,7 +19,7 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.derivatives import noise_level
+from hybrid_id.records.measures import sensor_noise
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import alone, joint_number, some, with_drive, with_others_measured
@@ -154,9 +154,9 @@ def _beyond_noise(
     found: dict[str, tuple[float, float]] = {}
     if seen is None:
         return found
+    known = sensor_noise(dataset)
     for channel in dataset.outputs:
-        logged = [noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs]
-        noise, error = channel.noise_std or float(np.mean(logged)), seen.rmse.get(channel.name, 0.0)
+        noise, error = known[channel.name], seen.rmse.get(channel.name, 0.0)
         if error > noise:
             found[channel.name] = seen.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
     return found

@@ -5,6 +5,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.derivatives import noise_level
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
 
@@ -13,6 +15,7 @@ BLOCKS = 40
 STUCK = 10  # samples in a row at one extreme
 DRIVES = ("u", "duty", "tau", "i")  # stems of the inputs that push the motor
 _AT_REST: WeakKeyDictionary[Record, int] = WeakKeyDictionary()
+_NOISE: WeakKeyDictionary[Record, dict[str, float]] = WeakKeyDictionary()
 
 
 def quantisation_step(values: np.ndarray) -> float:
@@ -63,6 +66,31 @@ def estimate_noise(values: np.ndarray) -> float:
     blocks = np.array_split(squares, min(BLOCKS, squares.size // ORDER))
     # The median of a block's mean square lies a little under its mean; blocks are long enough to neglect it.
     return float(max(floor, np.sqrt(np.median([block.mean() for block in blocks]))))
+
+
+def noise_of(record: Record, output: str) -> float:
+    """Standard deviation of the noise that one output of a record shows, estimated once; 0 where it never changes."""
+    known = _NOISE.setdefault(record, {})
+    if output not in known:
+        known[output] = float(noise_level(record.outputs[output]))
+    return known[output]
+
+
+def sensor_noise(dataset: Dataset) -> dict[str, float]:
+    """Standard deviation of each output's noise: as declared, or of the train record that shows most.
+
+    A sensor has one noise. Where its joint stands, or moves so little that samples between its counts have been
+    interpolated, a record shows next to none of it. 0 where none shows any.
+
+    Args:
+        dataset: where no train record shows any noise of an output, its other records may.
+    """
+    return {
+        channel.name: channel.noise_std
+        or max((noise_of(r, channel.name) for r in dataset.train if channel.name in r.outputs), default=0.0)
+        or max((noise_of(r, channel.name) for r in dataset if channel.name in r.outputs), default=0.0)
+        for channel in dataset.outputs
+    }
 
 
 def rest_samples(record: Record) -> int:

@@ -12,8 +12,9 @@ from torch import Tensor
 from hybrid_id.components.input.servo_integral import ServoIntegral
 from hybrid_id.errors import InputError
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
-from hybrid_id.records.measures import quantisation_step, rest_samples
+from hybrid_id.records.measures import noise_of, quantisation_step, rest_samples
 from hybrid_id.records.record import Record
+from hybrid_id.records.units import stem
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import Channels, System
 from hybrid_id.systems.joint import Joint
@@ -132,7 +133,8 @@ def _deviations(
 ) -> np.ndarray:
     """Standard deviation of each record's measurements, ``(R, n_y)``.
 
-    An output that never changes says nothing of its noise: that of the noisiest other record stands for it, or 1.
+    An output that never changes says nothing of its noise: that of the noisiest other record stands for it, or of the
+    noisiest output of its kind, or 1.
     """
     deviation = np.array(
         [
@@ -140,8 +142,10 @@ def _deviations(
             for record, noise in zip(records, noises, strict=True)
         ]
     )
-    highest = deviation.max(0, initial=0.0)
-    return np.where(deviation > 0, deviation, np.where(highest > 0, highest, 1.0))
+    highest = dict(zip(outputs, deviation.max(0, initial=0.0).tolist(), strict=True))
+    alike = [max(std for other, std in highest.items() if stem(other) == stem(name)) for name in outputs]
+    instead = [highest[name] or std or 1.0 for name, std in zip(outputs, alike, strict=True)]
+    return np.where(deviation > 0, deviation, instead)
 
 
 def _spread(values: np.ndarray) -> float:
@@ -157,7 +161,7 @@ def _padded(rows: Sequence[np.ndarray], samples: int, hold: bool = True) -> Tens
 
 def _noise(record: Record, name: str, noise_std: Mapping[str, float | None] | None) -> float:
     given = (noise_std or {}).get(name)
-    return float(noise_level(record.outputs[name])) if given is None else float(given)
+    return noise_of(record, name) if given is None else float(given)
 
 
 def _states(

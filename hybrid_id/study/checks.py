@@ -18,8 +18,7 @@ from hybrid_id.identification.objective import evaluate
 from hybrid_id.identification.result import FitResult, sensitivities
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.derivatives import noise_level
-from hybrid_id.records.measures import less_half_a_count
+from hybrid_id.records.measures import less_half_a_count, sensor_noise
 from hybrid_id.records.quality import Finding, check_encoders
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
@@ -296,10 +295,9 @@ def residual_tests(
     if x0 is not None and horizon.kind == "whole":
         batch.x[:, 0] = torch.as_tensor(x0)
     runs = simulated_over(horizon, system, stable_engine(system, engine, batch), batch)
-    declared = {channel.name: channel.noise_std for channel in dataset.outputs}
-    tests = []
+    known, tests = sensor_noise(dataset), []
     for column, output in enumerate(batch.outputs):
-        residual, inputs, noise = [], [], []
+        residual, inputs = [], []
         for run, record in zip(runs, records, strict=True):
             measured = record.outputs[output][: len(run)]
             if np.ptp(measured) == 0.0:
@@ -307,10 +305,8 @@ def residual_tests(
             left = measured - run[:, column]
             residual.append(less_half_a_count(left, measured) if np.isfinite(left).all() else left)
             inputs.append({name: values[: len(run)] for name, values in record.inputs.items()})
-            given = declared[output]
-            noise.append(float(noise_level(measured)) if given is None else given)
         if residual:
-            tests.append(residual_test(output, residual, inputs, noise))
+            tests.append(residual_test(output, residual, inputs, [known[output]] * len(residual)))
     return tuple(tests)
 
 

@@ -12,6 +12,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import FOLLOWED, WHOLE, Horizon, choose_horizon, free_runs
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.measures import sensor_noise
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
@@ -35,8 +36,8 @@ def batch_of(
     signal_share: float = SIGNAL_SHARE,
     device: str = "cpu",
 ) -> Batch:
-    """Records of a dataset prepared with the noise that it declares."""
-    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    """Records of a dataset prepared with the noise of its sensors."""
+    noise = sensor_noise(dataset)
     return make_batch(system, records, noise_std=noise, signal_share=signal_share).to(device)
 
 

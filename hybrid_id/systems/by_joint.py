@@ -17,6 +17,7 @@ from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
+from hybrid_id.records.measures import sensor_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import number_of
 from hybrid_id.robots.tree import RigidBodyTree
@@ -259,11 +260,10 @@ def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
         seed: of the noise.
     """
     rng, own = np.random.default_rng(seed), str(joint + 1)
-    known = {channel.name: channel.noise_std for channel in dataset.outputs}
+    noise = sensor_noise(dataset)
 
     def drawn(name: str, values: np.ndarray) -> np.ndarray:
-        std = known[name] or float(noise_level(values))
-        return values if number_of(name) == own else values + rng.normal(0.0, std, values.shape)
+        return values if number_of(name) == own else values + rng.normal(0.0, noise[name], values.shape)
 
     records = (
         replace(one, outputs={name: drawn(name, values) for name, values in one.outputs.items()})
