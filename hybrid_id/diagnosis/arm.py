@@ -20,7 +20,7 @@ from hybrid_id.diagnosis.catalogue import brought, effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
 from hybrid_id.diagnosis.distinguish import distinguished
-from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
+from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink, unconfirmed
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import RatedEffect, tied_sets
 from hybrid_id.diagnosis.own_values import borne_out
@@ -406,8 +406,7 @@ def _of_whole_robot(
     if before is not None and after is not None:
         rest = after.nrmse * float(np.sqrt(1.0 - min(max(after.autocorrelation, 0.0), 1.0)))
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
-        if lacking and gap.interval[1] <= 0.0:
-            contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
+        contradiction = unconfirmed(gap, "robot") if lacking else ""
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
     (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(

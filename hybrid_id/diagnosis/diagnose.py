@@ -18,7 +18,7 @@ import numpy as np
 from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
-from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, repeatability, shrink
+from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, repeatability, shrink, unconfirmed
 from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.grade import (
     Grade,
@@ -556,10 +556,8 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
 
 def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:
     """Where the test records contradict a frozen answer, in a sentence."""
-    if answer.found.chosen.effects and gap.interval[1] <= 0.0:
-        return "On the test records the corrected model predicts worse than the re-fitted one."
-    if answer.found.chosen.effects and gap.interval[0] <= 0.0:
-        return "The test records do not confirm the correction: the interval of the shrink holds zero."
+    if answer.found.chosen.effects and (said := unconfirmed(gap, "model")):
+        return said
     trained = np.sqrt(mean_square(answer.found.chosen.result.residual))
     quiet = answer.found.chosen.autocorrelation <= CRITERIA.coloured
     if (

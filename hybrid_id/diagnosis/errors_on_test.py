@@ -172,7 +172,8 @@ class Shrink:
         share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close.
         interval: 95 % interval from blocks drawn with replacement; its lower end takes the floor for the measurements'
             noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of
-            it. A model may do better on these records than the right one would, so that it may reach beyond 1.
+            it. A model may do better on these records than the right one would, so that it may reach beyond 1. It holds
+            the share, whatever the draws of next to no gap say.
         refit, with_effect, floor: normalised RMSE.
         repeated: whether the floor is the repeatability of records that were taken twice.
     """
@@ -211,9 +212,22 @@ def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -
     low, high = (
         float(np.quantile(end, q)) for end, q in zip(np.transpose(ends), (0.025, 0.975), strict=True)
     )
-    return Shrink(
-        _share(refit.nrmse, with_effect.nrmse, floor), (low, high), refit.nrmse, with_effect.nrmse, floor
-    )
+    share = _share(refit.nrmse, with_effect.nrmse, floor)
+    return Shrink(share, (min(low, share), max(high, share)), refit.nrmse, with_effect.nrmse, floor)
+
+
+def unconfirmed(gap: Shrink, what: str) -> str:
+    """That the test records do not confirm a correction, in a sentence; empty where they do.
+
+    Args:
+        gap: how far it shrinks.
+        what: "model" or "robot".
+    """
+    if gap.interval[1] <= 0.0:
+        return f"On the test records the corrected {what} predicts worse than the re-fitted one."
+    if gap.interval[0] <= 0.0:
+        return "The test records do not confirm the correction: the interval of the shrink holds zero."
+    return ""
 
 
 def _share(before: float, after: float, floor: float) -> float:

@@ -108,7 +108,7 @@ class Horizon:
             InputError: they do not fit; the sentence gives the range that does.
         """
         least, most = SHORTEST * step, samples * step / 4
-        if self.kind == "windows" and not least * (1.0 - 1e-9) <= self.seconds <= most:
+        if self.kind == "windows" and not (round(self.seconds / step) >= SHORTEST and self.seconds <= most):
             raise InputError(
                 f"windows of {self.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
                 f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
@@ -301,7 +301,8 @@ def choose_horizon(
     if astray(whole, batch) <= FOLLOWED:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
-    for horizon in (*(Horizon("windows", s) for s in SECONDS), Horizon("strokes"), WHOLE):
+    lengths = [s for s in SECONDS if round(s / batch.sample_time) >= SHORTEST]
+    for horizon in (*(Horizon("windows", s) for s in lengths), Horizon("strokes"), WHOLE):
         part = horizon.cut(system, engine, batch)
         if horizon.kind != "whole" and part.rows == batch.rows:
             continue

@@ -159,3 +159,14 @@ def find_stop(values: np.ndarray, extreme: float, fine: float) -> int | None:
         if stop - start >= STUCK and start >= 3 and moves[start - 3] > least:
             return int(start)
     return None
+
+
+def slows(goal: np.ndarray, at: int) -> bool:
+    """Return whether a goal rests or turns shortly before a sample: moves by less than a tenth of what it often does.
+
+    Args:
+        goal: Signal, (T,).
+        at: Number of the sample, 3 at least.
+    """
+    moves = np.abs(goal[3:] - goal[:-3])
+    return bool(moves[max(at - 3 - STUCK, 0) : at - 2].min() <= 0.1 * np.quantile(moves, 0.9))

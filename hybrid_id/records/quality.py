@@ -15,6 +15,7 @@ from hybrid_id.records.measures import (
     find_stop,
     quantisation_step,
     rest_samples,
+    slows,
     stretches,
 )
 from hybrid_id.records.record import Record, stamp
@@ -192,15 +193,19 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
             "coarse",
             f"it spans only {np.ptp(values) / quantum:.0f} steps of {quantum:.3g}; move further",
         )
-    yield from _glitches(record, values, fine, position=position)
+    goal = record.inputs.get(f"goal{number_of(name)}") if position else None
+    yield from _glitches(record, values, fine, goal, position=position)
     if position:
         yield from _motion(record, values, fine)
 
 
 def _glitches(
-    record: Record, values: np.ndarray, fine: float, *, position: bool
+    record: Record, values: np.ndarray, fine: float, goal: np.ndarray | None, *, position: bool
 ) -> Iterator[tuple[Severity, str, str]]:
-    """What no machine does: jumps by a turn, spikes, dead stops; ``fine`` is what noise and resolution hide."""
+    """What no machine does: jumps by a turn, spikes, dead stops; ``fine`` is what noise and resolution hide.
+
+    A joint that stops where its goal rests or turns has arrived.
+    """
     jumps = np.diff(values)
     wrapped = np.abs(np.abs(jumps) - 2 * np.pi) < 1.0
     if position and wrapped.any() and np.quantile(np.abs(jumps), 0.98) < 1.0:
@@ -221,7 +226,8 @@ def _glitches(
             words = f"{count} samples stand out as spikes, first at {stamp(at)} s; use a robust loss or repair them"
             yield "warning", "spikes", words
     for extreme in (values.max(), values.min()):
-        if (at := find_stop(values, extreme, fine)) is not None:
+        at = find_stop(values, extreme, fine)
+        if at is not None and (goal is None or not slows(goal, at)):
             words = (
                 f"it stops dead at {extreme:.4g}, first at {stamp(record.time[at])} s: an end stop or the sensor's "
                 "range; keep clear of it or cut the record with 'between'"
@@ -332,8 +338,9 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
     name, signals = channel.name, [record.outputs[channel.name] for record in dataset]
     spreads = np.array([values.std() for values in signals])
     usual = np.median(spreads)
+    resolved = max(max(estimate_noise(values), quantisation_step(values)) for values in signals)
     for record, spread in zip(dataset, spreads, strict=True):
-        if len(spreads) > 2 and not usual / 50 < spread < usual * 50:
+        if len(spreads) > 2 and spread > RESTS * resolved and not usual / 50 < spread < usual * 50:
             words = (
                 f"{record.name}, {name}: it varies by {spread:.2g} where the other records vary by {usual:.2g}; "
                 "check its unit"

@@ -122,7 +122,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
         lacking = STOPPED in found.skipped.values() or any(one.interrupted for one in found.joints.values())
         what = "not all joints were diagnosed to the end" if lacking else "the whole robot was not checked"
         sentence += f" The search was interrupted: {what}."
-    return sentence
+    return f"{sentence} {found.contradiction}".rstrip() if found.selected else sentence
 
 
 Rated = tuple[RatedEffect, RatedEffect, str]
@@ -223,7 +223,7 @@ def _errors_cells(found: ArmDiagnosis, joint: str) -> list[str]:
 
 
 def error_lines(found: ArmDiagnosis) -> list[str]:
-    """Errors of the whole robot on the test records, and the shrink; what contradicts the answer."""
+    """Errors of the whole robot on the test records, and the shrink."""
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
         return [f"{unmeasured(found.dataset)}."]
@@ -241,8 +241,6 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
         )
     if found.selected:
         lines.append(shrink_line(gap))
-    if found.contradiction:
-        lines.append(f"contradiction: {found.contradiction}")
     if halting := [joint for joint, one in found.joints.items() if one.rest_differs]:
         lines.append(rest_line(f" at {joined(halting)}"))
     return lines

@@ -52,7 +52,7 @@ def headline(diagnosis: Diagnosis) -> str:
     }[diagnosis.verdict](diagnosis)
     if diagnosis.interrupted:
         sentence += " The search was interrupted: what is missing here may not have been tried."
-    return sentence
+    return f"{sentence} {diagnosis.contradiction}".rstrip()
 
 
 def _effects(diagnosis: Diagnosis) -> str:
@@ -234,7 +234,7 @@ def thinned_line(diagnosis: Diagnosis) -> str:
 
 
 def error_lines(diagnosis: Diagnosis) -> list[str]:
-    """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that.
+    """NRMSE of each output on the test records, nominal to corrected, and the shrink.
 
     Where no effect is asserted nothing is corrected, and that is said in place of a shrink.
     """
@@ -254,8 +254,6 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
         lines.append(
             f"there is no corrected model, for no effect is asserted: the nominal one is re-fitted{one_set}."
         )
-    if diagnosis.contradiction:
-        lines.append(f"contradiction: {diagnosis.contradiction}")
     if diagnosis.rest_differs:
         lines.append(rest_line())
     return lines

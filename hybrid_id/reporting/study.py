@@ -68,7 +68,12 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
         heads = ["parameter", "reliability", *value_heads, "meaning", *spread_heads, "why"]
     found = table(heads, rows)
     starts = [start_table(study)] if full else []
-    return Group(found, *combinations_table(study), *starts, *(Text(line) for line in _remarks(study)))
+    failed = [result for result in study.sets if not result.ok]
+    ends = [f"{', '.join(list(dict.fromkeys(r.records))[:3])}: {r.message}" for r in failed[:3]]
+    first = [*([] if full else [Text(_usable(study))]), *(Text(line, style="red") for line in ends)]
+    return Group(
+        *first, found, *combinations_table(study), *starts, *(Text(line) for line in _remarks(study))
+    )
 
 
 def start_table(study: Study) -> Table:
@@ -141,8 +146,6 @@ def _remarks(study: Study) -> list[str]:
         lines.append(ALONE.format("not in", "") if study.input_error is None else ALONE.format("in", but))
     lines += [] if study.horizon.kind == "whole" else [f"horizon: {study.horizon}"]
     lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
-    failed = [result for result in study.sets if not result.ok]
-    lines += [f"{', '.join(list(dict.fromkeys(r.records))[:3])}: {r.message}" for r in failed[:3]]
     hits = [sum(name in result.at_bound for result in study.sets) for name in study.names]
     if any(hits):
         of = f" (in {{}} of {len(study.sets)} sets)" if len(study.sets) > 1 else ""
@@ -216,12 +219,16 @@ def study_page(
     return page
 
 
+def _usable(study: Study) -> str:
+    """How many parameters may be used on their own."""
+    usable = sum(one.grade in ("A", "B") for one in study.reliability)
+    return f"{usable} of {count(len(study.names), 'parameter')} can be relied on."
+
+
 def _lead(dataset: Dataset, study: Study, residuals: Residuals | None) -> str:
     """The outcome in plain words: how many parameters to rely on, then how they were found and what they predict."""
-    usable = sum(one.grade in ("A", "B") for one in study.reliability)
-    verdict = f"{usable} of {count(len(study.names), 'parameter')} can be relied on."
     kind = "One parameter set over all records" if study.pooled else "One parameter set for each record"
-    words = f"{verdict} {kind} ({count(len(dataset.train), 'train record')})."
+    words = f"{_usable(study)} {kind} ({count(len(dataset.train), 'train record')})."
     if not study.pooled and len(study.sets) > 1:
         words += f" Set {study.selection.name} carries over best."
     if study.test_nrmse:

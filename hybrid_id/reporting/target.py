@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,9 +47,11 @@ def _output_line(errors: TargetErrors, output: str) -> str:
     rmse = [one.rmse[output] for one in found]
     *values, unit = in_unit(output, rmse, errors.outputs, errors.exported.system)
     words = ", ".join(f"{label} {value}" for label, value in zip(errors.models, values, strict=True))
-    normalised = ", ".join(f"{one.by_output[output]:.3g}" for one in found)
+    normalised = [one.by_output[output] for one in found]
+    still = all(math.isnan(one) for one in normalised)
+    said = "it stands still" if still else f"NRMSE {', '.join(f'{one:.3g}' for one in normalised)}"
     return f"RMSE of {title(output, errors.outputs)}: {words} {unit}" + (
-        f" (NRMSE {normalised})" if len(found[0].rmse) > 1 else ""
+        f" ({said})" if len(found[0].rmse) > 1 else ""
     )
 
 

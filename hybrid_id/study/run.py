@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Literal, NoReturn
 
 import numpy as np
@@ -227,6 +228,9 @@ def analyse_fits(
     if any(result.left_early for result in sets):
         why = "a fit was stopped before its end, so that its values are no estimate; let it finish"
         reliability = tuple(Reliability(name, "D", math.inf, why) for name in names)
+    elif any(result.status == "max_iterations" for result in sets):
+        why = "the iterations were used up before the fit had converged"
+        reliability = tuple(replace(r, grade="C", reason=why) if r.grade in "AB" else r for r in reliability)
     by_record, by_output = test_errors(dataset, chosen, signal_share, horizon)
     return Study(
         system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from drives import flexible_drive, make_records, multisine
 from gapcase import small_case
+from hypothesis import given
+from hypothesis import strategies as st
 
 import hybrid_id.diagnosis.errors_on_test as module
 from hybrid_id.diagnosis.errors_on_test import Errors, repeatability, shrink
@@ -43,6 +45,15 @@ def test_the_floor_is_known_to_lie_above_the_noise_only(rng: np.random.Generator
     assert sure.interval[0] > 0.9
     assert unsure.interval[0] == pytest.approx(0.05 / 0.09, abs=0.08)
     assert unsure.interval[1] >= unsure.share > 0.95
+
+
+@given(st.floats(0.01, 10.0), st.floats(0.01, 10.0), st.floats(0.0, 1.0), st.integers(0, 5))
+def test_an_interval_holds_its_share_however_little_there_was_to_close(
+    first: float, second: float, floor: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    found = shrink(made(rng, first, 4), made(rng, second, 4), floor * second)
+    assert found.interval[0] <= found.share <= found.interval[1]
 
 
 def test_same_seed_same_interval(rng: np.random.Generator) -> None:
