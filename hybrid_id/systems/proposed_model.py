@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from hybrid_id.errors import InputError
@@ -269,10 +270,11 @@ def _robot(
     servos: dict[str, dict[str, Any]] = {}
     placeholders: dict[str, list[str]] = {}
     late: list[str] = []
-    for k, (drive, joint) in enumerate(zip(drives, started(still), strict=True)):
+    joints = started(still)
+    for k, (drive, joint) in enumerate(zip(drives, joints, strict=True)):
         ratio = ratios[k] if ratios else 1.0
         start = _start(drive, sheet, ratio, (float(mass[k][k]) + joint.armature) / ratio**2)
-        other_gains = _other_gains(drive, joint)
+        other_gains = _other_gains(drive, joint, _lag_of_same(drives, joints, joint))
         own = joint.servo is not None and other_gains is None
         if drive.command == "goal" and sheet.servo:
             servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or 16.0}
@@ -319,23 +321,43 @@ def _ask_of_gains(
         )
 
 
-def _other_gains(drive: DriveFacts, joint: TreeJoint) -> tuple[dict[str, Any], str] | None:
-    """A position loop by how late the logs' angle is, and why; None where the gains of the robot's file fit that."""
-    servo = joint.servo
-    if drive.command != "goal" or servo is None or not drive.lag:
+def _lag_of_same(drives: Sequence[DriveFacts], joints: Sequence[TreeJoint], own: TreeJoint) -> float:
+    """How late the angles of joints with the same actuator and damping are [s], the median; 0 where none shows it."""
+    lags = [
+        drive.lag
+        for drive, joint in zip(drives, joints, strict=True)
+        if drive.lag and joint.damping == own.damping and _gains(joint) == _gains(own)
+    ]
+    return float(median(lags)) if lags else 0.0
+
+
+def _gains(joint: TreeJoint) -> tuple[float, float] | None:
+    return None if joint.servo is None else (joint.servo.stiffness, joint.servo.damping)
+
+
+def _other_gains(drive: DriveFacts, joint: TreeJoint, same: float) -> tuple[dict[str, Any], str] | None:
+    """A position loop by how late the logs' angle is, and why; None where the gains of the robot's file fit that.
+
+    Args:
+        drive: what the logs say of the joint.
+        joint: of the robot's file.
+        same: how late the angles of joints with the same actuator are [s]: what is taken where its own does not show.
+    """
+    servo, late = joint.servo, drive.lag or same
+    if drive.command != "goal" or servo is None or not late:
         return None
     lag = (servo.damping + joint.damping) / servo.stiffness
-    if drive.lag / TIMES < lag < TIMES * drive.lag or not joint.damping:
+    if late / TIMES < lag < TIMES * late or not joint.damping:
         return None
     limits = {} if servo.largest is None else {"tau_max": _entry(servo.largest, "N m")}
     if servo.goals is not None:
         limits |= {name: float(one) for name, one in zip(("goal_min", "goal_max"), servo.goals, strict=True)}
-    k_p = _entry(joint.damping / drive.lag, "N m/rad")
+    k_p = _entry(joint.damping / late, "N m/rad")
     part = {"place": f"{drive.joint}/input", "kind": "position_servo", "parameters": {"k_p": k_p, **limits}}
+    of = "" if drive.lag else "of joints with the same actuator "
     words = (
-        f"the angle is {1e3 * drive.lag:.3g} ms behind its goal, where the gains in the robot's file (kp "
-        f"{servo.stiffness:g}, kv {servo.damping:g}) would give {1e3 * lag:.2g} ms; k_p from that and the file's "
-        "damping, no kv"
+        f"the angle {of}is {1e3 * late:.3g} ms behind its goal, where the gains in the robot's file (kp "
+        f"{servo.stiffness:g}, kv {servo.damping:g}) would give {1e3 * lag:.2g} ms; k_p from that and the file's damping, no kv"
     )
     return part, words
 

@@ -264,6 +264,28 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert checked.code == 0, checked.err
 
 
+def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
+    """A loop too stiff for the lag of one joint is none for its neighbour, which gravity holds off its goal."""
+    pytest.importorskip("mujoco")
+    stiff = ACTUATORS.replace('kp="8" kv="0.8"', 'kp="998" kv="2.7"')
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=stiff))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        angle[:, 1] = goal[:, 1] - 0.1
+        header = "time,shoulder_pan.pos,elbow_flex.pos,shoulder_pan.goal,elbow_flex.goal"
+        table = np.column_stack([t, np.degrees(angle), np.degrees(goal)])
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    _, model = written(folder)
+    gains = [part["parameters"]["k_p"]["nominal"] for part in model["components"]]
+    assert gains == [pytest.approx(0.2 / 0.12, rel=0.1)] * 2
+    assert "of joints with the same actuator is" in (folder / "model.yaml").read_text()
+    assert "servos of shoulder_pan, elbow_flex?" in done.out
+
+
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="elbow" axis="0 1 0" range="{low} {high}"
  armature="0.01" damping="0.6" frictionloss="0.05"/><inertial mass="0.5" pos="0 0 -0.1" diaginertia="2e-3 2e-3 2e-3"/>
 </body></worldbody><actuator>{actuator}</actuator></mujoco>"""
