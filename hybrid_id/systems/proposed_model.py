@@ -357,7 +357,8 @@ def _other_gains(drive: DriveFacts, joint: TreeJoint, same: float) -> tuple[dict
     of = "" if drive.lag else "of joints with the same actuator "
     words = (
         f"the angle {of}is {1e3 * late:.3g} ms behind its goal, where the gains in the robot's file (kp "
-        f"{servo.stiffness:g}, kv {servo.damping:g}) would give {1e3 * lag:.2g} ms; k_p from that and the file's damping, no kv"
+        f"{servo.stiffness:g}, kv {servo.damping:g}) would give {1e3 * lag:.2g} ms; k_p from that and the file's "
+        "damping, no kv"
     )
     return part, words
 
