@@ -133,7 +133,8 @@ def _show_model(found: "ModelCheck", system: "System", path: Path, *, full: bool
     if found.identified is None:
         show("", "What the records identify is not said: records and model contradict each other.")
     else:
-        show("", f"What these records identify of {path}, at its start values and before any fit:")
+        show("", f"What these records identify of {path}, at its start values and before any fit.")
+        show("± is by the sensors' noise alone: what the model lacks makes intervals of a fit wider.")
         show(identifiability_table(found.identified))
         show(*symbols_line(system.table, " ".join(found.identified.names)))
     if found.based is not None:
