@@ -69,10 +69,18 @@ def choose_channels(
         number: of its channels.
         evidence: takes channels, guesses and questions.
     """
+    goals = [one for one in columns if one.kind == "goal" or (one.command and one.kind in ("", "angle"))]
+    rests = joint is not None and goals != [] and not any(evidence.moves(one.name) for one in goals)
     columns = [one for one in columns if not _still(one, evidence)]
     kinds = kinds_of(columns, evidence)
     angle, speed = evidence.first(kinds, "angle"), evidence.first(kinds, "speed")
-    command = next((kind for kind in INPUTS if _drives(kinds, kind, evidence)), None)
+    found = ((kind, _drives(kinds, kind, evidence)) for kind in INPUTS)
+    command = next((kind for kind, one in found if one and (one.command or not rests)), None)
+    if command is None and rests:  # a load or current that it reports drives no joint that takes goals
+        for one in columns:
+            at = f", about {evidence.mean(one.name):.3g}" if one is angle else ""
+            evidence.leave(one.name, f"of {title}, which is held{at}: its goal stands still in all logs")
+        return
     if command is None or not (angle or speed):
         missing = "no input" if command is None else "no angle and no speed"
         for one in columns:

@@ -189,6 +189,10 @@ class Evidence:
         """Largest size of a column's values."""
         return max(float(np.max(np.abs(log.columns[column]))) for log in self.logs)
 
+    def mean(self, column: str) -> float:
+        """Mean of a column's values over all logs."""
+        return float(np.concatenate([log.columns[column] for log in self.logs]).mean())
+
     def longest(self) -> Log:
         """The log of most samples."""
         return max(self.logs, key=lambda log: self.time(log).size)

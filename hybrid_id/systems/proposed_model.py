@@ -76,7 +76,7 @@ def propose_model(
         drives: in the order of their numbers; one without a robot.
         sheet: of the motor.
         tree: of the robot; None for one link.
-        held: joints of the robot that are not logged.
+        held: joints of the robot that no command moves in the logs.
 
     Raises:
         InputError: the sheet does not fit.
@@ -247,9 +247,10 @@ def _robot(
     model = ProposedModel({"robot": entry})
     model.why["robot"] = f"joints in the file's order: {', '.join(drive.joint for drive in drives)}"
     if held:
-        model.why["robot"] += f"; not logged, so held at 0: {', '.join(held)}"
+        model.why["robot"] += f"; moved by no command in the logs, so held at 0: {', '.join(held)}"
         model.ask(
-            f"Where do the joints {', '.join(held)} stand, which the logs do not hold? They are held at 0 (rad or m)."
+            f"Where do the joints {', '.join(held)} stand, which no command moves in the logs? They are held at 0 (rad "
+            "or m)."
         )
     ratios = _ratios(sheet, len(drives))
     if ratios:

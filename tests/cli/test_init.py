@@ -286,6 +286,30 @@ def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, t
     assert "servos of shoulder_pan, elbow_flex?" in done.out
 
 
+def test_a_joint_whose_goal_rests_is_held_and_its_load_drives_nothing(run, tmp_path: Path) -> None:
+    """A gripper that stays shut reports a load without a sign, which is no commanded torque."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        load = np.abs(np.random.default_rng(seed).normal(size=t.size))
+        header = "time,shoulder_pan.pos,shoulder_pan.goal,elbow_flex.pos,elbow_flex.goal,elbow_flex.effort"
+        shut = 0.5 + 0.002 * np.sin(t)
+        table = np.column_stack([t, angle[:, 0], goal[:, 0], shut, np.full(t.size, 0.5), load])
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert {one["name"] for one in (*data["inputs"], *data["outputs"])} == {"q_a1", "goal1"}
+    assert model["robot"]["hold"] == {"elbow_flex": 0.0}
+    assert "elbow_flex.pos: of elbow_flex, which is held, about 0.5: its goal stands still" in " ".join(
+        done.out.split()
+    )
+    assert "Where do the joints elbow_flex stand, which no command moves" in " ".join(done.out.split())
+
+
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="elbow" axis="0 1 0" range="{low} {high}"
  armature="0.01" damping="0.6" frictionloss="0.05"/><inertial mass="0.5" pos="0 0 -0.1" diaginertia="2e-3 2e-3 2e-3"/>
 </body></worldbody><actuator>{actuator}</actuator></mujoco>"""
