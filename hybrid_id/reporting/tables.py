@@ -229,7 +229,8 @@ def open_table(*heads: str) -> Table:
     """An open table; a head that ends in '>' stands over numbers."""
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
     for head in heads:
-        table.add_column(head.rstrip(">"), justify="right" if head.endswith(">") else "left")
+        side = "right" if head.endswith(">") else "left"
+        table.add_column(head.rstrip(">"), justify=side, overflow="fold")  # a name that is cut is no name
     return table
 
 
