@@ -95,8 +95,9 @@ def choose_channels(
     taken = {one.column for one in (*work.inputs, *work.outputs)}
     for one in columns:
         if one.name not in taken:
-            kind = next((kind for kind, some in kinds.items() if one in some), "a column")
-            reason = "no channel that a drive of this kind has, or a second one of its kind"
+            kind, some = next(((kind, some) for kind, some in kinds.items() if one in some), ("a column", ()))
+            second = any(other.name in taken for other in some)
+            reason = f"a second {kind}" if second else f"nothing that a drive with a {command} takes as it is"
             evidence.leave(one.name, f"{kind} of {work.drive.joint}: {reason}")
     evidence.proposal.inputs += work.inputs
     evidence.proposal.outputs += work.outputs
