@@ -62,7 +62,7 @@ WINDOW = 0.5
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
 """How closely parameters are held where the model leaves structure: ever closer, where that predicts better, and"""
 CLOSER = 0.99
-"""by how much it has to, as a ratio of mean squares: what is held too closely lends its error to the first effect."""
+"""by how much each step closer has to, a ratio of mean squares: what is held closely lends its error to an effect."""
 TRIES = 2
 """Rounds of perturbed restarts of a gear whose link nobody measures."""
 SUBSTEP_RATE = 4000.0
@@ -210,7 +210,8 @@ class Fits:
 
         The first fit begins at the nominal values and at those of the free fit, whichever ends lower.
         """
-        found, starts = None, [Task((), system), Task((), free.system, x0=free.result.x0)]
+        found, most = None, math.inf
+        starts = [Task((), system), Task((), free.system, x0=free.result.x0)]
         for share in HOLDS:
             held = [replace(start, system=with_priors(start.system, system, free, share)) for start in starts]
             ends = [end for end in self.run(held, FULL) if end is not None]
@@ -218,8 +219,9 @@ class Fits:
                 break
             end = min(ends, key=lambda e: e.result.cost)
             starts = [Task((), end.system, x0=end.result.x0)]
-            if found is None or end.validation.typical <= CLOSER * found.validation.typical:
-                found = end
+            if end.validation.typical <= most:
+                found, most = end, end.validation.typical
+            most *= CLOSER
         return found
 
     def slopes(self, system: System, least: float, x0: np.ndarray | None = None) -> Slopes | None:
