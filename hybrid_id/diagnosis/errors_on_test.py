@@ -223,7 +223,7 @@ def unconfirmed(gap: Shrink, what: str) -> str:
         gap: how far it shrinks.
         what: "model" or "robot".
     """
-    if gap.interval[1] <= 0.0:
+    if gap.interval[1] <= 0.0 and gap.with_effect > gap.refit:
         return f"On the test records the corrected {what} predicts worse than the re-fitted one."
     if gap.interval[0] <= 0.0:
         return "The test records do not confirm the correction: the interval of the shrink holds zero."

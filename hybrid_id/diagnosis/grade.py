@@ -312,12 +312,12 @@ def _nested(
             return float(weight @ one.blocks / (weight @ one.sizes))
 
         left, explained = structural * over(ends[-1]), over(ends[0]) - over(ends[-1])
-        # of records that the effects serve worse than none, either part may be the greater: no share is more than all
         gap = max(left + explained, left, -explained, 1e-300)
         for k, (before, some) in enumerate(rivals):
             draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
         draw[-1] = left / gap
-    return found
+    # of records that an effect serves worse than none: no share is more than all
+    return np.clip(found, -1.0, 1.0)
 
 
 def _leaders(step: SelectionStep, after: FittedModel) -> list[FittedModel]:

@@ -108,7 +108,7 @@ class Horizon:
             InputError: they do not fit; the sentence gives the range that does.
         """
         least, most = SHORTEST * step, samples * step / 4
-        if self.kind == "windows" and not (round(self.seconds / step) >= SHORTEST and self.seconds <= most):
+        if self.kind == "windows" and not (self.seconds / step > SHORTEST - 0.5 and self.seconds <= most):
             raise InputError(
                 f"windows of {self.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
                 f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
@@ -237,7 +237,7 @@ def free_runs(system: System, engine: Engine, batch: Batch, theta: Tensor | None
     at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
     x, n_x = batch.x.clone(), batch.x.shape[-1]
     try:
-        step = torch.linalg.solve(at.hessian[:, :n_x, :n_x], at.gradient[:, :n_x])
+        step = torch.linalg.solve(at.hessian[:, :n_x, :n_x], at.gradient[:, :n_x]).nan_to_num(0.0, 0.0, 0.0)
     except RuntimeError:  # states that nothing identifies stay as they were measured
         return simulate(system, engine, batch, theta)
     known = batch.x0_std.square().reciprocal().where(batch.x0_std > 0, 0.0)
@@ -301,7 +301,7 @@ def choose_horizon(
     if astray(whole, batch) <= FOLLOWED:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
-    lengths = [s for s in SECONDS if round(s / batch.sample_time) >= SHORTEST]
+    lengths = [s for s in SECONDS if s / batch.sample_time > SHORTEST - 0.5]
     for horizon in (*(Horizon("windows", s) for s in lengths), Horizon("strokes"), WHOLE):
         part = horizon.cut(system, engine, batch)
         if horizon.kind != "whole" and part.rows == batch.rows:

@@ -49,6 +49,8 @@ PERCENT = 100.5
 """Largest value of an angle that may be percent of a joint's range."""
 SUPPLY = 12.0
 """Supply voltage [V] that stands in where none is known."""
+RESTS = 0.05
+"""Span of a joint's angle, relative to its size, up to which a joint whose goal stands still does, too."""
 BEYOND = {"V": 200.0, "A": 100.0}
 """Voltage and current that no drive's log exceeds: larger numbers without a unit are thousandths."""
 FITTED = 8
@@ -69,16 +71,16 @@ def choose_channels(
         number: of its channels.
         evidence: takes channels, guesses and questions.
     """
-    goals = [one for one in columns if one.kind == "goal" or (one.command and one.kind in ("", "angle"))]
-    rests = joint is not None and goals != [] and not any(evidence.moves(one.name) for one in goals)
+    rests = joint is not None and _rests(columns, evidence)
     columns = [one for one in columns if not _still(one, evidence)]
     kinds = kinds_of(columns, evidence)
     angle, speed = evidence.first(kinds, "angle"), evidence.first(kinds, "speed")
     found = ((kind, _drives(kinds, kind, evidence)) for kind in INPUTS)
-    command = next((kind for kind, one in found if one and (one.command or not rests)), None)
-    if command is None and rests:  # a load or current that it reports drives no joint that takes goals
+    reported = ("torque", "current") if rests else ()  # by a servo, which take no part in driving it
+    command = next((kind for kind, one in found if one and (one.command or kind not in reported)), None)
+    if command is None and rests:
         for one in columns:
-            at = f", about {evidence.mean(one.name):.3g}" if one is angle else ""
+            at = f" ({one.name} is about {evidence.mean(one.name):.3g})" if one is angle else ""
             evidence.leave(one.name, f"of {title}, which is held{at}: its goal stands still in all logs")
         return
     if command is None or not (angle or speed):
@@ -102,6 +104,14 @@ def choose_channels(
     evidence.proposal.inputs += work.inputs
     evidence.proposal.outputs += work.outputs
     evidence.proposal.drives.append(work.drive)
+
+
+def _rests(columns: Sequence[ColumnWords], evidence: Evidence) -> bool:
+    """Whether a joint's goal stands still in all logs, and so does its angle, nearly."""
+    goals = [one for one in columns if one.kind == "goal" or (one.command and one.kind in ("", "angle"))]
+    angles = [one for one in columns if one.kind == "angle" and not one.command]
+    still = all(evidence.span(one.name) <= RESTS * evidence.far(one.name) for one in angles)
+    return goals != [] and still and not any(evidence.moves(one.name) for one in goals)
 
 
 def _still(one: ColumnWords, evidence: Evidence) -> bool:

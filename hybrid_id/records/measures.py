@@ -72,25 +72,25 @@ def noise_of(record: Record, output: str) -> float:
     """Standard deviation of the noise that one output of a record shows, estimated once; 0 where it never changes."""
     known = _NOISE.setdefault(record, {})
     if output not in known:
-        known[output] = float(noise_level(record.outputs[output]))
+        values = record.outputs[output]
+        known[output] = float(noise_level(values)) if values.size > ORDER else 0.0
     return known[output]
 
 
 def sensor_noise(dataset: Dataset) -> dict[str, float]:
-    """Standard deviation of each output's noise: as declared, or of the train record that shows most.
+    """Standard deviation of each output's noise: as declared, or the root mean square of what train records show.
 
-    A sensor has one noise. Where its joint stands, or moves so little that samples between its counts have been
-    interpolated, a record shows next to none of it. 0 where none shows any.
+    Where a joint moves slowly, samples between an encoder's counts have often been interpolated, and a record shows
+    next to no noise; so not the median. 0 where no record shows any.
 
     Args:
-        dataset: where no train record shows any noise of an output, its other records may.
+        dataset: all of its records count where it has no train record.
     """
-    return {
-        channel.name: channel.noise_std
-        or max((noise_of(r, channel.name) for r in dataset.train if channel.name in r.outputs), default=0.0)
-        or max((noise_of(r, channel.name) for r in dataset if channel.name in r.outputs), default=0.0)
-        for channel in dataset.outputs
-    }
+    found = {}
+    for channel in dataset.outputs:
+        shown = [noise_of(r, channel.name) for r in dataset.train or dataset.records]
+        found[channel.name] = channel.noise_std or float(np.sqrt(np.mean(np.square(shown))))
+    return found
 
 
 def rest_samples(record: Record) -> int:
@@ -161,12 +161,19 @@ def find_stop(values: np.ndarray, extreme: float, fine: float) -> int | None:
     return None
 
 
-def slows(goal: np.ndarray, at: int) -> bool:
-    """Return whether a goal rests or turns shortly before a sample: moves by less than a tenth of what it often does.
+def has_arrived(values: np.ndarray, goal: np.ndarray, at: int) -> bool:
+    """Return whether a joint stops at a sample because its goal is there, and rests or turns.
+
+    There means within a tenth of how far the goal moves; it rests or turns where it goes less far, from shortly before
+    to shortly after, than a third of what it often does in that time.
 
     Args:
-        goal: Signal, (T,).
-        at: Number of the sample, 3 at least.
+        values: Angle, (T,).
+        goal: Its goal, (T,).
+        at: Number of the sample.
     """
-    moves = np.abs(goal[3:] - goal[:-3])
-    return bool(moves[max(at - 3 - STUCK, 0) : at - 2].min() <= 0.1 * np.quantile(moves, 0.9))
+    if np.abs(values[at] - goal[at]) > 0.1 * np.ptp(goal):
+        return False
+    moves = np.abs(goal[2 * STUCK :] - goal[: -2 * STUCK])
+    around = np.abs(goal[min(at + STUCK, goal.size - 1)] - goal[max(at - STUCK, 0)])
+    return bool(moves.size and around <= np.quantile(moves, 0.9) / 3.0)

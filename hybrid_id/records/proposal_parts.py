@@ -189,6 +189,10 @@ class Evidence:
         """Largest size of a column's values."""
         return max(float(np.max(np.abs(log.columns[column]))) for log in self.logs)
 
+    def span(self, column: str) -> float:
+        """How far a column's values go over all logs."""
+        return float(np.ptp(np.concatenate([log.columns[column] for log in self.logs])))
+
     def mean(self, column: str) -> float:
         """Mean of a column's values over all logs."""
         return float(np.concatenate([log.columns[column] for log in self.logs]).mean())

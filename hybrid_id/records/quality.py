@@ -13,9 +13,9 @@ from hybrid_id.records.measures import (
     count_turns,
     estimate_noise,
     find_stop,
+    has_arrived,
     quantisation_step,
     rest_samples,
-    slows,
     stretches,
 )
 from hybrid_id.records.record import Record, stamp
@@ -51,6 +51,8 @@ def worst_first(findings: list[Finding]) -> list[Finding]:
 
 
 SPIKE = 12.0  # times noise or quantisation step
+SLIP = 1e-4
+"""Spread of an output, relative to that of other records, up to which no wrong unit, but a rest, explains it."""
 RESTS = 3.0
 """Standard deviation of an output over its noise or quantisation step up to which its joint stands still."""
 
@@ -204,7 +206,7 @@ def _glitches(
 ) -> Iterator[tuple[Severity, str, str]]:
     """What no machine does: jumps by a turn, spikes, dead stops; ``fine`` is what noise and resolution hide.
 
-    A joint that stops where its goal rests or turns has arrived.
+    A joint that stops at its goal, which rests or turns there, has arrived.
     """
     jumps = np.diff(values)
     wrapped = np.abs(np.abs(jumps) - 2 * np.pi) < 1.0
@@ -227,7 +229,7 @@ def _glitches(
             yield "warning", "spikes", words
     for extreme in (values.max(), values.min()):
         at = find_stop(values, extreme, fine)
-        if at is not None and (goal is None or not slows(goal, at)):
+        if at is not None and (goal is None or not has_arrived(values, goal, at)):
             words = (
                 f"it stops dead at {extreme:.4g}, first at {stamp(record.time[at])} s: an end stop or the sensor's "
                 "range; keep clear of it or cut the record with 'between'"
@@ -338,9 +340,9 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
     name, signals = channel.name, [record.outputs[channel.name] for record in dataset]
     spreads = np.array([values.std() for values in signals])
     usual = np.median(spreads)
-    resolved = max(max(estimate_noise(values), quantisation_step(values)) for values in signals)
-    for record, spread in zip(dataset, spreads, strict=True):
-        if len(spreads) > 2 and spread > RESTS * resolved and not usual / 50 < spread < usual * 50:
+    for record, values, spread in zip(dataset, signals, spreads, strict=True):
+        moves = spread > max(RESTS * max(estimate_noise(values), quantisation_step(values)), SLIP * usual)
+        if len(spreads) > 2 and moves and not usual / 50 < spread < usual * 50:
             words = (
                 f"{record.name}, {name}: it varies by {spread:.2g} where the other records vary by {usual:.2g}; "
                 "check its unit"

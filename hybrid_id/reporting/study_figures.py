@@ -420,7 +420,7 @@ def _signal(
             color=colour,
             ls=dash,
             lw=1.0,
-            label=f"{name}, {'which stands still' if math.isnan(fit) else f'fit {fit:.2f} %'}",
+            label=name if math.isnan(fit) else f"{name}, fit {fit:.2f} %",
         )
         below.plot(time, measured - simulated, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
     joint = f"{shortened(channel.joint, MAX_TITLE)}\n" if channel.joint else ""

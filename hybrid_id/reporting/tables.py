@@ -229,8 +229,10 @@ def open_table(*heads: str) -> Table:
     """An open table; a head that ends in '>' stands over numbers."""
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
     for head in heads:
-        side = "right" if head.endswith(">") else "left"
-        table.add_column(head.rstrip(">"), justify=side, overflow="fold")  # a name that is cut is no name
+        if head.endswith(">"):
+            table.add_column(head.rstrip(">"), justify="right")
+        else:
+            table.add_column(head, overflow="fold")  # a name that is cut is no name
     return table
 
 

@@ -25,6 +25,8 @@ START = RESTING - 1
 """Samples over which the acceleration at the start is taken, which a gear's deflection there follows from."""
 SIGNAL_SHARE = 0.004
 """Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
+LEAST = 0.1
+"""Least standard deviation of a record's measurements, relative to the typical one of its dataset."""
 STANDING = 10
 """Samples through which a joint stands where its servo holds it."""
 TRIAL = 1e-4
@@ -41,6 +43,7 @@ def make_batch(
     noise_std: Mapping[str, float | None] | None = None,
     signal_share: float = SIGNAL_SHARE,
     estimate_start: bool = True,
+    typical: Mapping[str, float] | None = None,
 ) -> Batch:
     """Prepare records for simulation and fitting.
 
@@ -54,6 +57,7 @@ def make_batch(
         noise_std: standard deviation of the noise by output; estimated from the record where it is None.
         signal_share: added to the noise as a share of the signal's standard deviation.
         estimate_start: whether a fit may move the start state within its uncertainty.
+        typical: what :func:`typical_deviations` says of the dataset; of these records by default.
 
     Raises:
         InputError: no record, a channel that the system needs is missing, or a motor that takes no such command.
@@ -76,7 +80,8 @@ def make_batch(
     y = torch.stack([_padded([record.outputs[name] for record in records], samples) for name in outputs], -1)
     noises = [{name: _noise(record, name, noise_std) for name in record.outputs} for record in records]
     weight, guess, start_std = torch.zeros_like(y), [], []
-    deviation = _deviations(records, outputs, noises, signal_share)
+    typical = typical or typical_deviations(records, noise_std=noise_std, signal_share=signal_share)
+    deviation = _deviations(records, outputs, noises, signal_share, typical)
     for row, (record, noise) in enumerate(zip(records, noises, strict=True)):
         weight[row, : record.n_samples] = torch.tensor(1.0 / deviation[row])
         states, stds = _states(system, record, noise, estimate_start)
@@ -130,11 +135,20 @@ def _deviations(
     outputs: Sequence[str],
     noises: Sequence[Mapping[str, float]],
     signal_share: float,
+    typical: Mapping[str, float],
 ) -> np.ndarray:
     """Standard deviation of each record's measurements, ``(R, n_y)``.
 
-    An output that never changes says nothing of its noise: that of the noisiest other record stands for it, or of the
-    noisiest output of its kind, or 1.
+    Where a joint stands, a record shows next to nothing of its sensor's noise and of what a good model misses: its
+    deviations are a tenth of the typical ones at least. For an output that never changes the typical one stands, or
+    that of an output of its kind, or 1.
+
+    Args:
+        records: to be simulated.
+        outputs: that are compared.
+        noises: standard deviation of the noise of each record and output.
+        signal_share: see :func:`make_batch`.
+        typical: deviation of each output that is typical of the records that these are among.
     """
     deviation = np.array(
         [
@@ -142,10 +156,34 @@ def _deviations(
             for record, noise in zip(records, noises, strict=True)
         ]
     )
-    highest = dict(zip(outputs, deviation.max(0, initial=0.0).tolist(), strict=True))
-    alike = [max(std for other, std in highest.items() if stem(other) == stem(name)) for name in outputs]
-    instead = [highest[name] or std or 1.0 for name, std in zip(outputs, alike, strict=True)]
-    return np.where(deviation > 0, deviation, instead)
+    usual = np.array([typical.get(name, 0.0) for name in outputs])
+    kinds = np.array([stem(name) for name in outputs])
+    alike = np.array([usual[kinds == kind].max() for kind in kinds])
+    instead = np.where(usual > 0, usual, np.where(alike > 0, alike, 1.0))
+    return np.where(deviation > 0, np.maximum(deviation, LEAST * usual), instead)
+
+
+def typical_deviations(
+    records: Sequence[Record],
+    *,
+    noise_std: Mapping[str, float | None] | None = None,
+    signal_share: float = SIGNAL_SHARE,
+) -> dict[str, float]:
+    """Median over records of the standard deviation of each output's measurements; 0 where it changes in none.
+
+    Args:
+        records: of one dataset.
+        noise_std: as for :func:`make_batch`.
+        signal_share: as for :func:`make_batch`.
+    """
+    found = {}
+    for name in records[0].outputs if records else ():
+        each = (
+            np.hypot(_noise(r, name, noise_std), signal_share * _spread(r.outputs[name])) for r in records
+        )
+        shown = [float(std) for std in each if std > 0.0]
+        found[name] = float(np.median(shown)) if shown else 0.0
+    return found
 
 
 def _spread(values: np.ndarray) -> float:

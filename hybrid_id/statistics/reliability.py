@@ -24,8 +24,8 @@ class Reliability:
     Attributes:
         name: Parameter.
         grade: A: all ways agree. B: the plain covariance is too confident, the others agree. C: the others disagree,
-            so take the largest, or single sets differ by more than the 30 % rule allows. D: do not use the value on
-            its own.
+            so take the largest, single sets differ by more than the 30 % rule allows, or a fit has not converged. D: do
+            not use the value on its own.
         std_error: The largest of all standard errors, for the grade; inf where it is not identifiable. Intervals take
             `Study.standard_errors`.
         reason: Why, in words.

@@ -12,11 +12,10 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import FOLLOWED, WHOLE, Horizon, choose_horizon, free_runs
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.measures import sensor_noise
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch, typical_deviations
 from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
@@ -37,8 +36,10 @@ def batch_of(
     device: str = "cpu",
 ) -> Batch:
     """Records of a dataset prepared with the noise of its sensors."""
-    noise = sensor_noise(dataset)
-    return make_batch(system, records, noise_std=noise, signal_share=signal_share).to(device)
+    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    known = dataset.train or dataset.records
+    typical = typical_deviations(known, noise_std=noise, signal_share=signal_share)
+    return make_batch(system, records, noise_std=noise, signal_share=signal_share, typical=typical).to(device)
 
 
 def cross_validate(sets: Sequence[FitResult], batch: Batch, *, pooled: bool) -> CrossValidation:

@@ -304,10 +304,29 @@ def test_a_joint_whose_goal_rests_is_held_and_its_load_drives_nothing(run, tmp_p
     data, model = written(folder)
     assert {one["name"] for one in (*data["inputs"], *data["outputs"])} == {"q_a1", "goal1"}
     assert model["robot"]["hold"] == {"elbow_flex": 0.0}
-    assert "elbow_flex.pos: of elbow_flex, which is held, about 0.5: its goal stands still" in " ".join(
-        done.out.split()
+    words = " ".join(done.out.split())
+    assert (
+        "elbow_flex.pos: of elbow_flex, which is held (elbow_flex.pos is about 0.5): its goal stands still"
+        in words
     )
     assert "Where do the joints elbow_flex stand, which no command moves" in " ".join(done.out.split())
+
+
+def test_a_joint_that_swings_is_not_held_whatever_its_logged_goal_does(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        header = "time,shoulder_pan.pos,shoulder_pan.goal,elbow_flex.pos,elbow_flex.goal,elbow_flex.voltage"
+        unused = np.zeros(t.size)
+        table = np.column_stack([t, angle[:, 0], goal[:, 0], angle[:, 1], unused, 5.0 * (goal - angle)[:, 1]])
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert "u2" in {one["name"] for one in data["inputs"]} and "hold" not in model["robot"]
 
 
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="elbow" axis="0 1 0" range="{low} {high}"

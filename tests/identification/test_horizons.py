@@ -7,15 +7,24 @@ import numpy as np
 import pytest
 import torch
 from drives import make_record, multisine, rigid_drive
+from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon, window_errors
+from hybrid_id.identification.horizons import (
+    WHOLE,
+    Horizon,
+    choose_horizon,
+    free_runs,
+    window_errors,
+    windows,
+)
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import Simulation, simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import compare, identify
 
@@ -162,3 +171,16 @@ def test_window_errors_of_a_sound_model_are_noise(sound: list[Record]) -> None:
     batch = make_batch(TRUTH, sound, noise_std={"q_m1": 0.01}, signal_share=0.0)
     errors = np.concatenate(window_errors(TRUTH, ENGINE, batch, 0.25))
     assert float(np.sqrt(np.square(errors).mean())) == pytest.approx(1.0, abs=0.1)
+
+
+def test_no_window_errs_more_than_from_its_measured_state(sound: list[Record]) -> None:
+    """Where a joint sticks, a step of its first state says nothing of what happens beyond."""
+    stuck = TRUTH.with_values({"F_c": 6.0 * TRUTH.parameter("F_c").spec.value})
+    batch = make_batch(stuck, sound, noise_std={"q_m1": 1e-5}, signal_share=0.0)
+    pieces = windows(stuck, ENGINE, batch, 0.25)
+
+    def errors(run: Simulation) -> Tensor:
+        return ((run.y - pieces.y) * pieces.weight).square().sum((1, 2))
+
+    measured, moved = errors(simulate(stuck, ENGINE, pieces)), errors(free_runs(stuck, ENGINE, pieces))
+    assert (moved <= (1.0 + 1e-5) * measured).all() and (moved < 0.9 * measured).any()

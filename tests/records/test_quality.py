@@ -105,6 +105,44 @@ def test_a_record_on_a_finer_grid_has_no_spikes() -> None:
     assert "spikes" not in codes(check_record(finer))
 
 
+def follows(goal: np.ndarray, stop: float) -> Record:
+    """A joint that follows its goal with a lag and by counts, up to an end stop."""
+    q = np.zeros(T)
+    for k in range(1, T):
+        q[k] = min(q[k - 1] + 0.04 * (goal[k - 1] - q[k - 1]), stop)
+    return Record("a", TIME, {"goal1": goal}, {"q_a1": 0.002 * np.round(q / 0.002)})
+
+
+@pytest.mark.parametrize(
+    ("goal", "stop", "clipped"),
+    [
+        (np.clip(3.0 * np.abs((TIME % 3.0) - 1.5) - 1.0, 0.0, 2.0), 9.0, False),  # it arrives, and holds
+        (np.clip(3.0 * np.abs((TIME % 3.0) - 1.5) - 1.0, 0.0, 2.0), 1.2, True),
+        (1.6 * (TIME % 2.0 > 1.0), 1.0, True),  # the goal rests, but not where the joint stops
+        (1.5 * np.sin(3.0 * np.floor(TIME / 0.02) * 0.02), 1.0, True),  # a goal that is sent every 20 ms
+    ],
+)
+def test_a_joint_that_has_arrived_is_at_no_end_stop(goal: np.ndarray, stop: float, clipped: bool) -> None:
+    assert ("clipped" in codes(check_record(follows(goal, stop)))) == clipped
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (motion() / 57.3, True),  # in another unit
+        (0.4 + 1e-18 * np.sin(TIME), False),  # at rest, but for rounding
+        (0.4 + 1e-3 * np.random.default_rng(5).normal(size=T), False),  # at rest in its noise
+    ],
+)
+def test_a_joint_that_rests_in_one_record_has_no_wrong_unit(values: np.ndarray, said: bool) -> None:
+    rest = record("rest", outputs={"q_m1": values})
+    jump = record("jump", outputs={"q_m1": motion() + 20.0 * (TIME > 3.0)})
+    channels = ((Channel("u1", "V"),), (Channel("q_m1", "rad"),))
+    data = Dataset("d", *channels, (record("a"), record("b", seed=2), jump, rest))
+    found = [one for one in check_dataset(data) if one.code == "scale" and one.record == "rest"]
+    assert bool(found) == said
+
+
 @pytest.mark.parametrize(
     ("change", "code"),
     [

@@ -14,7 +14,7 @@ from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
 from hybrid_id.robots.description import load_tree
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.prepare import LEAST, make_batch, typical_deviations
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.builders import one_link_flexible, robot
@@ -78,6 +78,21 @@ def test_weight_is_noise_plus_a_share_of_the_signal() -> None:
 def test_noise_is_estimated_where_nobody_tells_it() -> None:
     batch = make_batch(rigid_drive(), [record(samples=1500)], signal_share=0.0)
     assert 1 / batch.weight[0, 0, 0].item() == pytest.approx(0.01, rel=0.15)
+
+
+def test_a_record_in_which_a_joint_stands_is_not_taken_for_exact() -> None:
+    """It shows neither its sensor's noise nor what a model misses: a tenth of what others do is the least."""
+    moving = [record(seed=1), record(seed=2)]
+    angle = moving[0].outputs["q_m1"]
+    rounding, still = 0.3 + 1e-12 * np.sin(np.arange(angle.size)), np.full_like(angle, 0.3)
+    rests, stands = (replace(moving[0], outputs={"q_m1": values}) for values in (rounding, still))
+    batch = make_batch(rigid_drive(), [*moving, rests, stands])
+    usual = np.median([1.0 / batch.weight[k, 0, 0].item() for k in range(2)])
+    among = typical_deviations([*moving, rests, stands])["q_m1"]
+    assert among <= usual and 1.0 / batch.weight[2, 0, 0].item() == pytest.approx(LEAST * among)
+    assert 1.0 / batch.weight[3, 0, 0].item() == pytest.approx(among)
+    alone = make_batch(rigid_drive(), [stands], typical=typical_deviations(moving))
+    assert 1.0 / alone.weight[0, 0, 0].item() == pytest.approx(usual)
 
 
 def test_uneven_stamps_become_steps() -> None:
