@@ -208,20 +208,25 @@ class Fits:
     def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
         """The nominal model with its parameters held as closely as predicts records left out best.
 
-        The first fit begins at the nominal values and at those of the free fit, whichever ends lower.
+        The first fit begins at the nominal values; where it errs clearly more than the free one, at that one's, too,
+        whichever ends lower. Two in a row that predict no better are the last.
         """
-        found, most = None, math.inf
-        starts = [Task((), system), Task((), free.system, x0=free.result.x0)]
-        for share in HOLDS:
-            held = [replace(start, system=with_priors(start.system, system, free, share)) for start in starts]
-            ends = [end for end in self.run(held, FULL) if end is not None]
-            if not ends:
+
+        def held(start: Task, share: float) -> FittedModel | None:
+            return self.run([replace(start, system=with_priors(start.system, system, free, share))], FULL)[0]
+
+        ends = [held(Task((), system), HOLDS[0])]
+        if ends[0] is None or ends[0].trained > free.trained / (1.0 - CRITERIA.distinct_fall):
+            ends.append(held(Task((), free.system, x0=free.result.x0), HOLDS[0]))
+        end = found = min((e for e in ends if e is not None), key=lambda e: e.result.cost, default=None)
+        most, worse = math.inf if found is None else found.validation.typical, 0
+        for share in HOLDS[1:]:
+            end = None if end is None or worse == 2 else held(Task((), end.system, x0=end.result.x0), share)
+            if end is None:
                 break
-            end = min(ends, key=lambda e: e.result.cost)
-            starts = [Task((), end.system, x0=end.result.x0)]
+            most, worse = CLOSER * most, worse + 1
             if end.validation.typical <= most:
-                found, most = end, end.validation.typical
-            most *= CLOSER
+                found, most, worse = end, end.validation.typical, 0
         return found
 
     def slopes(self, system: System, least: float, x0: np.ndarray | None = None) -> Slopes | None:
