@@ -209,7 +209,7 @@ class Fits:
         """The nominal model with its parameters held as closely as predicts records left out best.
 
         The first fit begins at the nominal values; where it errs clearly more than the free one, at that one's, too,
-        whichever ends lower. Two in a row that predict no better are the last.
+        whichever ends lower.
         """
 
         def held(start: Task, share: float) -> FittedModel | None:
@@ -219,14 +219,14 @@ class Fits:
         if ends[0] is None or ends[0].trained > free.trained / (1.0 - CRITERIA.distinct_fall):
             ends.append(held(Task((), free.system, x0=free.result.x0), HOLDS[0]))
         end = found = min((e for e in ends if e is not None), key=lambda e: e.result.cost, default=None)
-        most, worse = math.inf if found is None else found.validation.typical, 0
+        most = math.inf if found is None else found.validation.typical
         for share in HOLDS[1:]:
-            end = None if end is None or worse == 2 else held(Task((), end.system, x0=end.result.x0), share)
+            end = None if end is None else held(Task((), end.system, x0=end.result.x0), share)
             if end is None:
                 break
-            most, worse = CLOSER * most, worse + 1
+            most *= CLOSER
             if end.validation.typical <= most:
-                found, most, worse = end, end.validation.typical, 0
+                found, most = end, end.validation.typical
         return found
 
     def slopes(self, system: System, least: float, x0: np.ndarray | None = None) -> Slopes | None:
