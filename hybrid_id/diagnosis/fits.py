@@ -218,10 +218,12 @@ class Fits:
         ends = [held(Task((), system), HOLDS[0])]
         if ends[0] is None or ends[0].trained > free.trained / (1.0 - CRITERIA.distinct_fall):
             ends.append(held(Task((), free.system, x0=free.result.x0), HOLDS[0]))
-        end = found = min((e for e in ends if e is not None), key=lambda e: e.result.cost, default=None)
-        most = math.inf if found is None else found.validation.typical
+        found = min((e for e in ends if e is not None), key=lambda e: e.result.cost, default=None)
+        if found is None:
+            return None
+        end, most = found, found.validation.typical
         for share in HOLDS[1:]:
-            end = None if end is None else held(Task((), end.system, x0=end.result.x0), share)
+            end = held(Task((), end.system, x0=end.result.x0), share)
             if end is None:
                 break
             most *= CLOSER

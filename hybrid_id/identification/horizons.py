@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.windows import (
     SHORTEST,
+    holds_enough,
     link_seen,
     measured_spread,
     measured_windows,
@@ -37,9 +38,9 @@ FOLLOWED, LOST = 0.1, 0.5
 """Normalised RMSE beyond noise up to which free runs follow their records, and from which they have lost them."""
 SECONDS = (0.25, 0.5, 1.0, 2.0)
 """Lengths of windows [s] that are compared."""
-NEARER, ROUNDING = (1.0, 0.3, 0.1, 0.0), 1e-6
-"""Shares of a step of the first state, of which the first is taken by which a run errs no more, and by what share of
-its cost it may, which is rounding."""
+NEARER, ROUNDING = (0.3, 0.1, 0.0), 1e-6
+"""Shares of a step of the first state where the whole of it makes a run err more, of which the first is taken by which
+it does not; and by what share of its cost it may, which is rounding."""
 BRIEF = 12
 """Iterations of the fit over each horizon."""
 BLOCKS = 16
@@ -108,7 +109,7 @@ class Horizon:
             InputError: they do not fit; the sentence gives the range that does.
         """
         least, most = SHORTEST * step, samples * step / 4
-        if self.kind == "windows" and not (self.seconds / step > SHORTEST - 0.5 and self.seconds <= most):
+        if self.kind == "windows" and not (holds_enough(self.seconds, step) and self.seconds <= most):
             raise InputError(
                 f"windows of {self.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
                 f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
@@ -241,17 +242,23 @@ def free_runs(system: System, engine: Engine, batch: Batch, theta: Tensor | None
     except RuntimeError:  # states that nothing identifies stay as they were measured
         return simulate(system, engine, batch, theta)
     known = batch.x0_std.square().reciprocal().where(batch.x0_std > 0, 0.0)
-    share, worse, run = torch.ones_like(at.cost), torch.ones_like(at.cost, dtype=torch.bool), None
-    for part in NEARER:
-        share = torch.where(worse, part, share)
+
+    def moved_by(share: Tensor) -> tuple[Simulation, Tensor]:
+        """Runs after a share of each step, and which of them err more than before."""
         moved = share[:, None] * step
         x[:, 0] = batch.x[:, 0] - moved
         run = simulate(system, engine, replace(batch, x=x), theta)
         errors = ((run.y - batch.y) * batch.weight).square().sum((1, 2)) + (known * moved.square()).sum(1)
-        worse = ~(0.5 * errors <= (1.0 + ROUNDING) * at.cost)
+        return run, ~(0.5 * errors <= (1.0 + ROUNDING) * at.cost)
+
+    share = torch.ones_like(at.cost)
+    run, worse = moved_by(share)
+    for nearer in NEARER:
         if not worse.any():
             break
-    return cast(Simulation, run)
+        share = torch.where(worse, nearer, share)
+        run, worse = moved_by(share)
+    return run
 
 
 def window_errors(system: System, engine: Engine, batch: Batch, seconds: float) -> list[np.ndarray]:
@@ -301,7 +308,7 @@ def choose_horizon(
     if astray(whole, batch) <= FOLLOWED:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
-    lengths = [s for s in SECONDS if s / batch.sample_time > SHORTEST - 0.5]
+    lengths = [s for s in SECONDS if holds_enough(s, batch.sample_time)]
     for horizon in (*(Horizon("windows", s) for s in lengths), Horizon("strokes"), WHOLE):
         part = horizon.cut(system, engine, batch)
         if horizon.kind != "whole" and part.rows == batch.rows:

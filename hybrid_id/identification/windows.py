@@ -25,6 +25,11 @@ def window_samples(samples: int, step: float, seconds: float, least: int = 4) ->
     return length if least * length <= samples else None
 
 
+def holds_enough(seconds: float, step: float) -> bool:
+    """Whether a window of so many seconds holds enough samples as it is, and is not made longer for it."""
+    return seconds / step > SHORTEST - 0.5
+
+
 def measured_windows(
     system: System, batch: Batch, seconds: float, every: int = 1, least: int = 4
 ) -> tuple[Batch, Tensor] | None:

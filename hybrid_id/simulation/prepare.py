@@ -152,7 +152,7 @@ def _deviations(
     """
     deviation = np.array(
         [
-            [np.hypot(noise[name], signal_share * _spread(record.outputs[name])) for name in outputs]
+            [_deviation(record, name, noise[name], signal_share) for name in outputs]
             for record, noise in zip(records, noises, strict=True)
         ]
     )
@@ -178,17 +178,17 @@ def typical_deviations(
     """
     found = {}
     for name in records[0].outputs if records else ():
-        each = (
-            np.hypot(_noise(r, name, noise_std), signal_share * _spread(r.outputs[name])) for r in records
-        )
-        shown = [float(std) for std in each if std > 0.0]
+        each = [_deviation(r, name, _noise(r, name, noise_std), signal_share) for r in records]
+        shown = [std for std in each if std > 0.0]
         found[name] = float(np.median(shown)) if shown else 0.0
     return found
 
 
-def _spread(values: np.ndarray) -> float:
-    """Standard deviation, exactly 0 for values that are all the same."""
-    return float(np.std(values)) if np.ptp(values) > 0 else 0.0
+def _deviation(record: Record, name: str, noise: float, signal_share: float) -> float:
+    """Standard deviation of an output's measurements by one record alone; of values that are all the same the noise."""
+    values = record.outputs[name]
+    spread = float(np.std(values)) if np.ptp(values) > 0 else 0.0
+    return float(np.hypot(noise, signal_share * spread))
 
 
 def _padded(rows: Sequence[np.ndarray], samples: int, hold: bool = True) -> Tensor:

@@ -35,7 +35,7 @@ def batch_of(
     signal_share: float = SIGNAL_SHARE,
     device: str = "cpu",
 ) -> Batch:
-    """Records of a dataset prepared with the noise of its sensors."""
+    """Records of a dataset prepared with the noise that it declares, and weighed as is typical of it."""
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     known = dataset.train or dataset.records
     typical = typical_deviations(known, noise_std=noise, signal_share=signal_share)
