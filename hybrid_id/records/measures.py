@@ -164,16 +164,16 @@ def find_stop(values: np.ndarray, extreme: float, fine: float) -> int | None:
 def has_arrived(values: np.ndarray, goal: np.ndarray, at: int) -> bool:
     """Return whether a joint stops at a sample because its goal is there, and rests or turns.
 
-    There means within a tenth of how far the goal moves; it rests or turns where it goes less far, from shortly before
-    to shortly after, than a third of what it often does in that time.
+    There means within a tenth of how far the goal moves, and anywhere where it never moves; it rests or turns where it
+    goes less far, from shortly before to shortly after, than a third of the most that it does in that time.
 
     Args:
         values: Angle, (T,).
         goal: Its goal, (T,).
         at: Number of the sample.
     """
-    if np.abs(values[at] - goal[at]) > 0.1 * np.ptp(goal):
+    if np.abs(values[at] - goal[at]) > 0.1 * np.ptp(goal) > 0.0:
         return False
     moves = np.abs(goal[2 * STUCK :] - goal[: -2 * STUCK])
     around = np.abs(goal[min(at + STUCK, goal.size - 1)] - goal[max(at - STUCK, 0)])
-    return bool(moves.size and around <= np.quantile(moves, 0.9) / 3.0)
+    return bool(moves.size and around <= moves.max() / 3.0)

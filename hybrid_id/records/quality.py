@@ -122,8 +122,7 @@ def _resting(dataset: Dataset) -> Iterator[Finding]:
     said = []
     for records in dict.fromkeys(at.values()):
         names = ", ".join(name for name, found in at.items() if found == records)
-        few = ", ".join(records[:3]) + (", ..." if len(records) > 3 else "")
-        said.append(f"{names} in {'every record' if len(records) == len(dataset.records) else few}")
+        said.append(f"{names} in {'every record' if len(records) == len(dataset.records) else _few(records)}")
     words = (
         f"joints stand still while others move, so that nothing is learnt of their friction there: {'; '.join(said)}; "
         "if one has moved, check its column"
@@ -252,17 +251,36 @@ def _motion(record: Record, values: np.ndarray, fine: float) -> Iterator[tuple[S
 
 
 def _merged(findings: list[Finding]) -> Iterator[Finding]:
-    """Join findings that more than two records share into the first of them, which then counts the others."""
+    """Join findings that more than two records share into the first of them, which then names the others.
+
+    Those without a number of their own say the same of every channel, and are joined over channels, too.
+    """
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:
-        groups.setdefault((finding.code, finding.channel), []).append(finding)
+        words = finding.message.partition(": ")[2]
+        alike = finding.channel if not words or any(map(str.isdigit, words)) else words
+        groups.setdefault((finding.code, alike), []).append(finding)
     for first, *others in groups.values():
-        more = list(dict.fromkeys(other.record for other in others if other.record != first.record))
+        more = dict.fromkeys((o.channel, o.record) for o in others)
+        more.pop((first.channel, first.record), None)
         if len(more) < 2:
             yield from (first, *others)
         else:
-            names = ", ".join(more[:5]) + (", ..." if len(more) > 5 else "")
-            yield replace(first, message=f"{first.message} [likewise in {len(more)} more records: {names}]")
+            yield replace(first, message=f"{first.message} [likewise {_places(first.channel, list(more))}]")
+
+
+def _places(channel: str, more: Sequence[tuple[str, str]]) -> str:
+    """Where else something was found, as (channel, record) pairs; the channel is named where it is another one."""
+    if all(other == channel for other, _ in more):
+        return f"in {len(more)} more records: {_few([record for _, record in more])}"
+    records: dict[str, list[str]] = {}
+    for other, record in more:
+        records.setdefault(other, []).append(record)
+    return "; ".join(f"{other} in {_few(names)}" for other, names in records.items())
+
+
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
 
 
 def _roles(dataset: Dataset) -> Iterator[Finding]:

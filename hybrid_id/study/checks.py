@@ -107,13 +107,30 @@ def check_identifiability(
 
 
 def check_scales(dataset: Dataset, system: System) -> list[Finding]:
-    """What contradicts the model without a simulation: gear ratios, and angles far out of their joint's range.
+    """What contradicts the model without a simulation: gear ratios, angles far out of their range, goals' units.
 
     With an error among them, what the model would do means nothing.
     """
     ratios = {joint.number: ratio for joint, ratio in zip(system.joints, system.own_ratios, strict=True)}
     every = [ratios.get(number) for number in range(1, max(ratios) + 1)]
-    return [*check_encoders(dataset, every), *_spans(dataset, system)]
+    return [*check_encoders(dataset, every), *_spans(dataset, system), *_goals(dataset, system)]
+
+
+def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
+    """Doubts of the units of goals that angles follow, many times as far or hardly at all."""
+    measured = {channel.name for channel in dataset.outputs}
+    for joint, ratio in zip(system.joints, system.own_ratios, strict=True):
+        goal, n = f"goal{joint.number}", joint.number
+        sides = {f"q_a{n}": 1.0} | ({f"q_m{n}": ratio} if ratio else {})
+        for name in [name for name in sides if name in measured and goal in system.input_names][:1]:
+            pairs = [(r.outputs[name] / sides[name], r.inputs[goal]) for r in dataset if goal in r.inputs]
+            if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
+                words = (
+                    f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
+                    "the dataset file (degrees?), or gear_ratio in the model file"
+                )
+                absurd = max(times, 1.0 / times) > ABSURD
+                yield Finding("error" if absurd else "warning", "unit", words, channel=goal)
 
 
 def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:

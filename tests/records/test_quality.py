@@ -118,6 +118,7 @@ def follows(goal: np.ndarray, stop: float) -> Record:
     [
         (np.clip(3.0 * np.abs((TIME % 3.0) - 1.5) - 1.0, 0.0, 2.0), 9.0, False),  # it arrives, and holds
         (np.clip(3.0 * np.abs((TIME % 3.0) - 1.5) - 1.0, 0.0, 2.0), 1.2, True),
+        (np.interp(TIME, [0.0, 0.3, 0.5], [0.0, 0.0, 1.0]), 0.99, False),  # it moves once, and arrives
         (1.6 * (TIME % 2.0 > 1.0), 1.0, True),  # the goal rests, but not where the joint stops
         (1.5 * np.sin(3.0 * np.floor(TIME / 0.02) * 0.02), 1.0, True),  # a goal that is sent every 20 ms
     ],
@@ -272,6 +273,16 @@ def test_what_many_records_share_is_said_once() -> None:
     assert "likewise in 3 more records: b, c, d" in noise[0].message
     twice = list(_merged([Finding("warning", "clipped", "cut", name, "u1") for name in "aabbc"]))
     assert len(twice) == 1 and "likewise in 2 more records: b, c" in twice[0].message
+
+
+def test_a_sentence_without_a_number_is_said_once_for_all_channels() -> None:
+    def found(words: str) -> list[Finding]:
+        pairs = (("a", "v_a1"), ("b", "v_a1"), ("a", "v_a2"))
+        return [Finding("warning", "noisy", f"{r}, {c}: {words}", r, c) for r, c in pairs]
+
+    (one,) = _merged(found("noise is above a tenth of the signal"))
+    assert one.message.endswith("signal [likewise v_a1 in b; v_a2 in a]")
+    assert len(list(_merged(found("it stops dead at 0.3")))) == 3
 
 
 def arm_record(name: str, *, still: tuple[int, ...], noise: float = 1e-3) -> Record:

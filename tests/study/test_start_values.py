@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hybrid_id import Channel, Dataset, InputError, Record, System, load_model, one_link, two_link
+from hybrid_id.components.input.position_loop import PositionLoop
 from hybrid_id.study import check_scales, check_start_values
 
 TIME = 0.01 * np.arange(100)
@@ -74,3 +75,14 @@ def test_angles_far_out_of_the_joints_range_are_in_another_unit(
     findings = check_scales(dataset, load_model(tmp_path / "model.yaml"))
     assert [(f.severity, f.code) for f in findings] == ([("error", "range")] if found else [])
     assert all("takes pan through" in f.message and "its range in arm.xml" in f.message for f in findings)
+
+
+@pytest.mark.parametrize(("unit", "severity"), [(1.0, None), (10.0, "warning"), (180.0 / np.pi, "error")])
+def test_a_goal_that_the_angle_follows_far_off_is_in_another_unit(unit: float, severity: str | None) -> None:
+    """In degrees, say; a servo that trails its goal by a tenth of its motion is none."""
+    goal = np.sin(9 * TIME)
+    record = Record("a", TIME, {"goal1": unit * goal}, {"q_a1": 0.9 * np.sin(9 * TIME - 0.2)})
+    dataset = Dataset("a", (Channel("goal1", "rad"),), (Channel("q_a1", "rad", NOISE),), (record,), 0.01)
+    servo = one_link().with_component("joint1/input", PositionLoop())
+    found = check_scales(dataset, servo)
+    assert [(one.severity, one.channel) for one in found] == [(severity, "goal1")] * bool(severity)
