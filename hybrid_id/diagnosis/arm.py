@@ -29,13 +29,15 @@ from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
 from hybrid_id.diagnosis.whole_robot import common_horizon, parts_of_gap
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit
+from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.skew import Skew, find_skews
+from hybrid_id.records.units import number_of
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
@@ -293,17 +295,17 @@ def diagnose_arm(
         InputError: no joint can be diagnosed, or there is none of a name; and see :func:`hybrid_id.diagnose`.
         KeyboardInterrupt: stopped before the first joint's search has found anything.
     """
-    able, skipped = joints_to_diagnose(dataset, system)
-    for name in joints or ():
-        joint_number(system, name)
-        if name in skipped:
-            raise InputError(f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}.")
-    names = [name for name in able if joints is None or name in joints]
-    skipped |= {name: NOT_ASKED for name in able if name not in names}
-    if not names:
-        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
+    skews = find_skews(dataset)
+    dataset = dataset.without_skew({one.channel: one.late for one in skews})
+    names, skipped = _to_diagnose(dataset, system, joints)
     found: dict[str, tuple[Measured, Answer]] = {}
+    how = {
+        "horizon": horizon,
+        "max_effects": max_effects,
+        "jobs": jobs,
+        "seed": seed,
+        "signal_share": signal_share,
+    }
     stopped = False
     for name in names:
         k = joint_number(system, name)
@@ -314,8 +316,8 @@ def diagnose_arm(
 
         try:
             found[name] = answered(
-                with_others_measured(moving_records(dataset, k), system, k), alone(system, k), horizon=horizon,
-                max_effects=max_effects, jobs=jobs, seed=seed, signal_share=signal_share, kept=kept, progress=say,
+                with_others_measured(moving_records(dataset, k), system, k), alone(system, k), kept=kept,
+                progress=say, **how,
             )  # fmt: skip
         except InputError as error:  # one joint's records or values must not cost the others theirs
             if len(names) == 1:
@@ -327,8 +329,6 @@ def diagnose_arm(
                 raise
             stopped = True
         if stopped or found[name][1].found.interrupted:
-            rest = [later for later in names if later not in found and later not in skipped]
-            skipped |= dict.fromkeys(rest, STOPPED)
             stopped = True
             break
     _raise_without_any(found, skipped)
@@ -339,17 +339,60 @@ def diagnose_arm(
             answers = _checked(dataset, system, answers, horizon, seed, signal_share, progress)
         except KeyboardInterrupt:
             stopped = True
+    done = _reported(system, found, answers, skews, skipped, seed, level)
+    skipped |= {name: STOPPED for name in names if name not in done and name not in skipped}
+    whole = dataset, system, done, skipped
+    try:
+        return _of_whole_robot(*whole, stopped, horizon, seed, signal_share, kept)
+    except KeyboardInterrupt:
+        return _of_whole_robot(*whole, True, horizon, seed, signal_share, kept)
+
+
+def _to_diagnose(
+    dataset: Dataset, system: System, joints: Sequence[str] | None
+) -> tuple[list[str], dict[str, str]]:
+    """The joints to diagnose, and those that are left out, each with why."""
+    able, skipped = joints_to_diagnose(dataset, system)
+    for name in joints or ():
+        joint_number(system, name)
+        if name in skipped:
+            raise InputError(f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}.")
+    names = [name for name in able if joints is None or name in joints]
+    skipped |= {name: NOT_ASKED for name in able if name not in names}
+    if not names:
+        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
+        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
+    return names, skipped
+
+
+def _reported(
+    system: System,
+    found: Mapping[str, tuple[Measured, Answer]],
+    answers: Mapping[str, Answer],
+    skews: Sequence[Skew],
+    skipped: dict[str, str],
+    seed: int,
+    level: float,
+) -> dict[str, Diagnosis]:
+    """The joints' diagnoses; those that fail are ``skipped``. Stopped after one it has those that are there."""
     done = dict[str, Diagnosis]()
     for name, (measured, _) in found.items():
-        one = alone(system, joint_number(system, name))
+        k = joint_number(system, name)
+        own = tuple(one for one in skews if number_of(one.channel) == str(k + 1))
         try:
-            done[name] = reported(measured, one, answers[name], seed=seed, level=level)
+            done[name] = reported(
+                replace(measured, skews=own), alone(system, k), answers[name], seed=seed, level=level
+            )
         except InputError as error:
             if len(found) == 1:
                 raise
             skipped[name] = str(error).removesuffix(".")
+        except KeyboardInterrupt:
+            if not done:
+                raise
+            break
     _raise_without_any(done, skipped)
-    return _of_whole_robot(dataset, system, done, skipped, stopped, horizon, seed, signal_share)
+    return done
 
 
 def _checked(
@@ -384,6 +427,7 @@ def _of_whole_robot(
     horizon: Horizon,
     seed: int,
     signal_share: float,
+    kept: Kept | None,
 ) -> ArmDiagnosis:
     """What the joints' diagnoses make of the robot: both of its models, and the test records that measure them."""
     refit = model = nominal
@@ -394,8 +438,10 @@ def _of_whole_robot(
         refit, model = some(refit, now.seats), some(model, now.seats)
     whole, lacking = None, any(one.search.chosen.effects for one in found.values())
     if not stopped:  # who stops waits for no more fits
-        refit, whole = fitted_coupled(moving, refit, horizon, signal_share)
-        model, whole = fitted_coupled(moving, model, horizon, signal_share) if lacking else (refit, whole)
+        refit, whole = fitted_coupled(moving, refit, horizon, signal_share, kept)
+        model, whole = (
+            fitted_coupled(moving, model, horizon, signal_share, kept) if lacking else (refit, whole)
+        )
     gap, contradiction = None, ""
     nominal_errors, before, after = (
         errors(moving, one, engine(), horizon=horizon, signal_share=signal_share)
@@ -416,7 +462,11 @@ def _of_whole_robot(
 
 
 def fitted_coupled(
-    dataset: Dataset, system: System, horizon: Horizon = WHOLE, signal_share: float = SIGNAL_SHARE
+    dataset: Dataset,
+    system: System,
+    horizon: Horizon = WHOLE,
+    signal_share: float = SIGNAL_SHARE,
+    kept: Kept | None = None,
 ) -> tuple[System, FitResult | None]:
     """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
 
@@ -427,6 +477,7 @@ def fitted_coupled(
         system: the robot, from whose values the fit starts.
         horizon: how long its free runs are.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        kept: fits that an earlier run has kept, and where this one is kept.
 
     Returns:
         The robot, and its fit where that was taken.
@@ -435,7 +486,7 @@ def fitted_coupled(
     with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
         batch = horizon.cut(system, engine(), batch_of(dataset, system, records, signal_share, "cpu"))
         options = Options(max_iterations=COUPLED)
-        again = fit(system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
+        again = kept_fit(kept, system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
         both = [
             errors(dataset, s, engine(), records, horizon=horizon, signal_share=signal_share)
             for s in (system, again.system)

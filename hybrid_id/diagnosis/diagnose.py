@@ -41,10 +41,10 @@ from hybrid_id.diagnosis.select import (
     Selection,
     accepted,
     accepted_ones,
-    interrupted,
     leaves_something,
     refitted_without,
     select,
+    stopped_after,
 )
 from hybrid_id.diagnosis.thinning import thinned
 from hybrid_id.diagnosis.validation import mean_square
@@ -267,29 +267,29 @@ def search(
     Returns:
         Fits over the horizon of the search, and its result.
     """
-    best, first, steps, whole = base, None, list[SelectionStep](), None
+    best, first, whole = base, None, None
     if not leaves_something(base):
-        return fits, Selection(base, (), base)
+        return fits, Selection(base, (), base, horizon=fits.horizon)
     try:
         if choose_horizon:
             if fits.astray(base) <= CRITERIA.lost_refit:
                 first = selection_step(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.judged), key=lambda e: e.error)
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
-                    return fits, Selection(base, (first,), base, own=own)
+                    return fits, Selection(base, (first,), base, own=own, horizon=fits.horizon)
             if _adds_up(fits, base, best, system):
                 short = _short_runs(fits, system)
                 step = short and _over_short(short, fits, first, best, system, progress)
                 if short and step:
                     whole = None if first is None else (fits, base, first)
                     (fits, base), first = short, step
-        found = select(
-            fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
-        )
     except KeyboardInterrupt:
-        if not steps:
+        if first is None:
             raise
-        return fits, interrupted(base, steps)
+        return fits, stopped_after(first, base, fits.horizon)
+    found = select(fits, base, system, first=first, max_effects=max_effects, progress=progress)
+    if found.interrupted:
+        return fits, found
     try:
         more = None if whole is None else _along_whole(*whole, found, system, max_effects, progress)
     except KeyboardInterrupt:
@@ -441,7 +441,9 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
         found = replace(found, chosen=rest)
     nothing = not found.chosen.effects and not graded.unknown and not varying
-    identified = check_identifiability(fits.dataset, system) if nothing else None
+    identified = (
+        check_identifiability(fits.dataset, system, signal_share=fits.signal_share) if nothing else None
+    )
     std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
@@ -505,7 +507,14 @@ def _unheld(found: Selection, nominal: System) -> Selection:
 def _wrong_values(fits: Fits, system: System, base: FittedModel) -> bool:
     """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
     both = [
-        errors(fits.dataset, one, engine(), fits.dataset.train, horizon=fits.horizon)
+        errors(
+            fits.dataset,
+            one,
+            engine(),
+            fits.dataset.train,
+            horizon=fits.horizon,
+            signal_share=fits.signal_share,
+        )
         for one in (system, base.system)
     ]
     nominal, refit = both
@@ -635,9 +644,8 @@ def report(
     found, graded, fits = answer.found, answer.grade, answer.fits
     substantial = graded.unknown or graded.remainder >= CRITERIA.substantial
     named_joint = bool(found.chosen.effects) and len(system.joints) > 1
-    identified = (
-        check_identifiability(dataset, system) if implausible_parameters(system, found.base.system) else None
-    )
+    odd = bool(implausible_parameters(system, found.base.system))
+    identified = check_identifiability(dataset, system, signal_share=fits.signal_share) if odd else None
     return Diagnosis(
         case=dataset.name,
         verdict=answer.verdict,

@@ -41,6 +41,7 @@ class Errors:
             samples have in common; an offset of half a count is none, whether an encoder rounds or counts edges.
         over_noise: RMS of all errors in those units.
         rmse: RMSE of each output in its SI unit, records averaged.
+        squares: of each output the normalised mean square, and that in SI units squared, records averaged.
     """
 
     nrmse: float
@@ -51,6 +52,7 @@ class Errors:
     autocorrelation: float = 0.0
     over_noise: float = 0.0
     rmse: dict[str, float] = field(default_factory=dict)
+    squares: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def resampled(self, draw: list[list[np.ndarray]]) -> float:
         """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
@@ -124,6 +126,10 @@ def errors(
         autocorrelation(weighted),
         float(np.sqrt(np.square(np.concatenate(weighted)).mean())),
         {output: float(np.mean(values)) for output, values in plain.items()},
+        {
+            output: (float(np.mean(np.square(values))), float(np.mean(np.square(plain[output]))))
+            for output, values in by_output.items()
+        },
     )
 
 

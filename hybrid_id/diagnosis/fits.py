@@ -189,7 +189,7 @@ class Fits:
         again = confirmed(
             best.result, self.batch(best.system), options=Options(tolerance=0.05), kept=self.kept
         )
-        left = [end for end in (best.result, again) if end is not best.result or not best.judged]
+        left = [best.result] * (not best.judged) + [again] * (again is not best.result)
         ends = self.run([Task((), end.system, x0=end.x0) for end in left], FULL)
         judged = [end for end in (best, *ends) if end is not None and end.judged]
         best = min(judged, key=lambda e: e.result.cost, default=best)

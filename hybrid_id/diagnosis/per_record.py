@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,6 +83,8 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
         return PerRecord(fitted, left, explained=True)
     if there is None or not words:
         return PerRecord(model, left)
+    if not there.judged and fits.weights is not None:  # as those errors count that it is compared with
+        there = replace(there, validation=there.validation.weighted(fits.weights))
     return PerRecord(there, left, words, True)
 
 

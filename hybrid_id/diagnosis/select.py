@@ -81,11 +81,12 @@ def select(
     *,
     start: FittedModel | None = None,
     first: SelectionStep | None = None,
-    steps: list[SelectionStep] | None = None,
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> Selection:
     """Stage select: search the catalogue, step by step, for the effects that the train records call for.
+
+    Stopped by Ctrl-C once a step has ended, it says what it has found until then.
 
     Args:
         fits: fits models to the train records, over its horizon.
@@ -93,43 +94,96 @@ def select(
         nominal: the nominal system.
         start: the model that the search begins with; None for ``base``.
         first: the first step, where it has been taken.
-        steps: takes each step as soon as it is there: what an interrupted search has found.
         max_effects: effects at most.
         progress: called with (stage, done, total).
+
+    Raises:
+        KeyboardInterrupt: stopped before the end of its first step.
     """
-    model, steps, restarted = start or base, [] if steps is None else steps, False
+    so_far = _SoFar(base, start or base, [])
+    try:
+        _search(fits, so_far, nominal, first, max_effects, progress)
+    except KeyboardInterrupt:
+        if not so_far.steps:
+            raise
+        return so_far.selection(fits.horizon, interrupted=True)
+    return so_far.selection(fits.horizon)
+
+
+@dataclass
+class _SoFar:
+    """What a search has found so far.
+
+    Attributes:
+        base: the nominal model, re-fitted.
+        model: the model that it has come to.
+        steps: the selection steps.
+        asked: the last step, as long as nothing is decided of it.
+    """
+
+    base: FittedModel
+    model: FittedModel
+    steps: list[SelectionStep]
+    asked: SelectionStep | None = None
+
+    def selection(self, horizon: Horizon, *, interrupted: bool = False) -> Selection:
+        """The result of the search; what leads a step that nothing is decided of yet counts where it is accepted."""
+        model, step = self.model, self.asked
+        if step is not None and step.best is not None and accepted(step.best, step.before, step.candidates):
+            model = step.best
+        base = self.base if model.effects else model
+        return Selection(base, tuple(self.steps), model, interrupted=interrupted, horizon=horizon)
+
+
+def stopped_after(step: SelectionStep, base: FittedModel, horizon: Horizon) -> Selection:
+    """What a search has found that was stopped after its first step."""
+    return _SoFar(base, base, [step], step).selection(horizon, interrupted=True)
+
+
+def _search(
+    fits: Fits,
+    so_far: _SoFar,
+    nominal: System,
+    first: SelectionStep | None,
+    max_effects: int,
+    progress: Progress | None,
+) -> None:
+    """The search of :func:`select`; ``so_far`` takes each step and each model as soon as it is there."""
+    steps, restarted = so_far.steps, False
     while (
-        len(model.effects) < max_effects
+        len(so_far.model.effects) < max_effects
         and sum(not one.swap for one in steps) < MAX_STEPS
-        and leaves_something(model)
+        and leaves_something(so_far.model)
     ):
+        model = so_far.model
         step = first or selection_step(fits, model, nominal, among=_alive(steps, model), progress=progress)
         first = None
-        step = _accepted_first(step)
+        step = so_far.asked = _accepted_first(step)
         steps.append(step)
         best, swaps = step.best, list[SelectionStep]()
         if best is not None and model.effects and promising(best, model):
-            swaps = _swaps(fits, base, best, steps)
+            swaps = _swaps(fits, so_far.base, best, steps)
             best = min((s.best for s in swaps if s.best is not None), key=lambda e: e.error, default=best)
         if best is None or not accepted(best, model, step.candidates):
             break
-        before = _refit_before(fits, base, best, model)
-        base = base if before.effects else before
+        before = _refit_before(fits, so_far.base, best, model)
+        so_far.base = so_far.base if before.effects else before
         steps[-1] = replace(step, before=before)
         if not accepted(best, before, step.candidates):
-            once_more, model = before is not model and not restarted, before
-            if not once_more:
+            so_far.model, so_far.asked = before, None
+            if before is model or restarted:
                 break
             restarted = True  # the fit before had not found its best: the step is repeated from there
             steps.pop()
             continue
         steps += swaps
-        model = _freed(fits, _with_whole_numbers(fits, best))
+        so_far.model, so_far.asked = best, None
+        so_far.model = _freed(fits, _with_whole_numbers(fits, best))
         if before.effects:
-            model = _necessary(fits, base, model, steps)
-            if len(model.effects) <= len(before.effects) and not _better_set(model, before):
+            so_far.model = _necessary(fits, so_far.base, so_far.model, steps)
+            if len(so_far.model.effects) <= len(before.effects) and not _better_set(so_far.model, before):
                 break
-    return Selection(base if model.effects else model, tuple(steps), model, horizon=fits.horizon)
+    so_far.asked = None
 
 
 def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: FittedModel) -> FittedModel:
@@ -142,15 +196,6 @@ def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: Fitte
         return model
     again = refitted_without(fits, base, best, added_effect(best, model))
     return again if again is not None and again.error < model.error else model
-
-
-def interrupted(base: FittedModel, steps: Sequence[SelectionStep]) -> Selection:
-    """The result of a search that was stopped after so many steps: what they have found."""
-    last = steps[-1]
-    sure = last.best is not None and accepted(last.best, last.before, last.candidates)
-    chosen = last.best if sure and last.best is not None else last.before
-    base = base if chosen.effects else chosen
-    return Selection(base, tuple(steps), chosen, interrupted=True)
 
 
 def _accepted_first(step: SelectionStep) -> SelectionStep:

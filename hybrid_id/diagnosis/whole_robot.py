@@ -156,7 +156,7 @@ def _beyond_noise(
         return found
     known = sensor_noise(dataset)
     for channel in dataset.outputs:
-        noise, error = known[channel.name], seen.rmse.get(channel.name, 0.0)
-        if error > noise:
-            found[channel.name] = seen.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
+        normalised, square = seen.squares.get(channel.name, (0.0, 0.0))
+        if square > known[channel.name] ** 2:
+            found[channel.name] = normalised, 1.0 - known[channel.name] ** 2 / square
     return found

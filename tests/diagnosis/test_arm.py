@@ -25,6 +25,7 @@ from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.scales import scales
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
+from hybrid_id.records.skew import Skew
 from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import (
@@ -194,6 +195,21 @@ def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> 
     assert arm_headline(found).startswith(
         "Inconclusive: no effect had been accepted at any joint that was diagnosed."
     )
+
+
+@pytest.mark.usefixtures("few")
+def test_a_channel_that_is_late_is_shifted_for_every_stage(nominal: System, monkeypatch) -> None:
+    dataset = records_of(nominal, 3)
+    late = Skew("q_m1", 0.02, 1e-4, ("v_m1",))
+    monkeypatch.setattr(arm, "find_skews", lambda _: [late])
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage.startswith("lift"):
+            raise KeyboardInterrupt
+
+    found = diagnose_arm(dataset, nominal, progress=stop)
+    assert found.dataset.records[0].n_samples < dataset.records[0].n_samples  # the ends have no value any more
+    assert found.joints["pan"].skews == (late.message,)
 
 
 SERVOS = {
