@@ -192,6 +192,8 @@ def measure(
 class Answer:
     """What the train and validation records say. Frozen: the test records change none of it.
 
+    Of one joint of a robot it is frozen once more where all joints say otherwise.
+
     Attributes:
         fits: holds the records and their horizon.
         searched: the search.
@@ -275,7 +277,7 @@ def search(
             if fits.astray(base) <= CRITERIA.lost_refit:
                 first = selection_step(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.judged), key=lambda e: e.error)
-                if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
+                if not best.no_structure and (own := _differing(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own, horizon=fits.horizon)
             if _adds_up(fits, base, best, system):
                 short = _short_runs(fits, system)
@@ -330,7 +332,7 @@ def _adds_up(fits: Fits, base: FittedModel, best: FittedModel, system: System) -
         return False
     if fits.astray(best) > CRITERIA.lost:
         return True
-    return not (best.no_structure or (best is not base and _own_values(fits, best, system) is not None))
+    return not (best.no_structure or (best is not base and _differing(fits, best, system) is not None))
 
 
 def _short_runs(fits: Fits, system: System) -> tuple[Fits, FittedModel] | None:
@@ -397,7 +399,7 @@ def _rivalry(step: SelectionStep) -> float:
     return max((log_odds(best, e, step.before) for e in rivals), default=-math.inf)
 
 
-def _own_values(fits: Fits, model: FittedModel, system: System) -> PerRecord | None:
+def _differing(fits: Fits, model: FittedModel, system: System) -> PerRecord | None:
     """Each record's own values of a model, where they leave noise alone: the records differ, and nothing is missing."""
     own = per_record(fits, model, system)
     return own if own is not None and own.explained else None
@@ -415,7 +417,9 @@ def _rivals(step: SelectionStep) -> frozenset[Name]:
 
 
 def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
-    """Freeze the answer, once all that is selected is sure enough to be asserted; after it nothing changes any more.
+    """Freeze the answer, once all that is selected is sure enough to be asserted.
+
+    Of one joint of a robot, only what all of its joints say may change it again (:func:`frozen_again`).
 
     :func:`locate` comes first, for the structural share of what remains depends on it; :func:`grade` divides the gap.
     The last effect that is not sure enough is dropped, and both are done again for the rest.

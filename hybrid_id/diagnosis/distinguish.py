@@ -31,7 +31,7 @@ def distinguished(
     nominal: System,
     answers: Mapping[str, Answer],
     *,
-    horizon: Horizon | None = None,
+    horizon: Horizon,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
     progress: Progress | None = None,
@@ -45,7 +45,7 @@ def distinguished(
         dataset: of the whole robot.
         nominal: the nominal robot.
         answers: of the joints by themselves, by name.
-        horizon: how long free runs are; None for the shortest that a joint's records ask for.
+        horizon: how long free runs are.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         progress: called with (stage, done, total).
@@ -82,13 +82,13 @@ def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | Non
     Of those that its records accept by themselves: another is none that could stand alone.
     """
     step, equals = tied_step(answer.found, answer.searched.steps)
-    if step is None or step.best is None or answer.searched.near is not None:
+    if step is None or step.leader is None or answer.searched.near is not None:
         return None
     accepted = accepted_ones(step)
     able = [one for one in equals if one in accepted]
-    lead = added_effect(step.best, step.before)
+    lead = added_effect(step.leader, step.before)
     share = next((c.share for c in answer.grade.effects if (c.name, c.where) == lead), None)
-    return (step, share or 0.0, able) if len(able) > 1 and step.best in able else None
+    return (step, share or 0.0, able) if len(able) > 1 and step.leader in able else None
 
 
 def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:

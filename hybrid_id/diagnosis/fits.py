@@ -60,9 +60,9 @@ STUCK = 2e-3
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
-"""How closely parameters are held where the model leaves structure: ever closer, where that predicts better, and"""
+"""How closely parameters are held where the model leaves structure: ever closer, as long as that predicts better."""
 CLOSER = 0.99
-"""by how much each step closer has to, a ratio of mean squares: what is held closely lends its error to an effect."""
+"""Ratio of mean squares that each step closer has to reach: what is held closely lends its error to an effect."""
 TRIES = 2
 """Rounds of perturbed restarts of a gear whose link nobody measures."""
 SUBSTEP_RATE = 4000.0

@@ -266,7 +266,7 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[Selec
     chosen, base = found.chosen, found.base
     order: dict[Name, SelectionStep] = {}
     for step in found.steps:
-        if step.best is not None and (name := added_effect(step.best, step.before)) in chosen.effects:
+        if step.leader is not None and (name := added_effect(step.leader, step.before)) in chosen.effects:
             order.setdefault(name, step)
     for name in chosen.effects:
         order.setdefault(name, SelectionStep(base, (chosen,)))
@@ -302,7 +302,7 @@ def _nested(
     rivals = []
     for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
         # the step may have compared them beside other effects than the chosen ones: their distance to its best counts
-        shift = after.error / max(step.best.error, 1e-300) if step.best is not None else 1.0
+        shift = after.error / max(step.leader.error, 1e-300) if step.leader is not None else 1.0
         some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
         rivals.append((before.validation, some))
     found = np.zeros((len(weights), len(models)))
@@ -335,7 +335,7 @@ def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel
     """By effect that was tried the step which says how probable it is, its model there, and how probable all are."""
     said: dict[Name, tuple[SelectionStep, FittedModel, dict[Name, float]]] = {}
     for step in found.compared:
-        if step.best is None:
+        if step.leader is None:
             continue
         names = [added_effect(model, step.before) for model in step.candidates]
         odds = dict(zip(names, _probabilities(step).tolist(), strict=True))
@@ -346,7 +346,7 @@ def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel
 
 
 def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
-    """Every effect that was tried, with the probability that the last step which compared it gives.
+    """Every effect that was tried, with the probability of the step that decides on it (:func:`_last_words`).
 
     Where something structural is left, none of the others is excluded by what is selected.
     """
@@ -442,7 +442,10 @@ def _present(one: FittedModel, before: FittedModel, p: float) -> float:
 
 def _contains(model: FittedModel, step: SelectionStep) -> bool:
     """Whether an effect has a step's best as its special case: that it explains as much says nothing for it."""
-    (name, where), best = added_effect(model, step.before), step.best and added_effect(step.best, step.before)
+    (name, where), best = (
+        added_effect(model, step.before),
+        step.leader and added_effect(step.leader, step.before),
+    )
     return best is not None and best[1] == where and best[0] in effect(name).contains
 
 
@@ -492,9 +495,11 @@ def tied_step(
     """The same with the step that has compared them, of some steps; the whole robot's has the last word on its own."""
     known = set[tuple[Name, ...]]()
     for step in sorted(steps, key=lambda one: not one.odds):
-        if step.best is None or step.best.effects != found.chosen.effects:
+        if step.leader is None or step.leader.effects != found.chosen.effects:
             continue
-        equals = [e for e in indistinguishable(step.best, step) if e is step.best or e.effects not in known]
+        equals = [
+            e for e in indistinguishable(step.leader, step) if e is step.leader or e.effects not in known
+        ]
         if step.odds:
             known |= {e.effects for e in step.candidates}
         if len(equals) > 1:

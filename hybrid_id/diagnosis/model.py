@@ -44,7 +44,7 @@ class FittedModel:
 
     @property
     def error(self) -> float:
-        """Mean square of the weighted errors on records left out, in noise variances."""
+        """Mean square of the weighted errors on records left out, in noise variances; of the fit's own until judged."""
         return self.validation.error
 
     @property

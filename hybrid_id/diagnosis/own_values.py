@@ -146,7 +146,7 @@ def borne_out(
     nominal: System,
     answers: Mapping[str, Answer],
     *,
-    horizon: Horizon | None = None,
+    horizon: Horizon,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
 ) -> dict[str, Answer]:
@@ -161,7 +161,7 @@ def borne_out(
         dataset: of the whole robot.
         nominal: the nominal robot.
         answers: of the joints by themselves, by name.
-        horizon: how long free runs are; None for the shortest that a joint's records ask for.
+        horizon: how long free runs are.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """

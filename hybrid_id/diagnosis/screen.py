@@ -50,8 +50,8 @@ class SelectionStep:
     odds: tuple[float, ...] = ()
 
     @property
-    def best(self) -> FittedModel | None:
-        """The candidate that predicts best, None where there is none."""
+    def leader(self) -> FittedModel | None:
+        """The first candidate: of those that predict about as well the simplest or most probable; None without any."""
         return self.candidates[0] if self.candidates else None
 
 
@@ -66,7 +66,7 @@ def selection_step(
     """Every effect of the catalogue, or some of them, added to a model, one at a time: stages screen and fit.
 
     Where the nominal model is held, the priors travel in its ``System`` to every candidate, and from there to the
-    chosen model; ``_unheld_if_enough`` takes them out of what leaves no structure, ``diagnose._unheld`` of the answer.
+    chosen model. What leaves no structure without them is fitted without; the answer has none (``diagnose._unheld``).
 
     Args:
         fits: fits models to the train records.

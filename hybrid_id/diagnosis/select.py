@@ -1,8 +1,8 @@
 """Which effects: forward selection with swaps and backward elimination.
 
-The effect that predicts records left out best is added; then the next beside it; then those that had
-explained as much as the first are tried in its place, and each of the selected has to show that the rest
-cannot do without it. Before an effect is accepted, the model without it is fitted again from where the model
+The effect that predicts records left out best is added, of equals the simplest or most probable; then the next beside
+it; then those that had explained as much as the first are tried in its place, and each of the selected has to show that
+the rest cannot do without it. Before an effect is accepted, the model without it is fitted again from where the model
 with it has ended.
 """
 
@@ -129,8 +129,12 @@ class _SoFar:
     def selection(self, horizon: Horizon, *, interrupted: bool = False) -> Selection:
         """The result of the search; what leads a step that nothing is decided of yet counts where it is accepted."""
         model, step = self.model, self.asked
-        if step is not None and step.best is not None and accepted(step.best, step.before, step.candidates):
-            model = step.best
+        if (
+            step is not None
+            and step.leader is not None
+            and accepted(step.leader, step.before, step.candidates)
+        ):
+            model = step.leader
         base = self.base if model.effects else model
         return Selection(base, tuple(self.steps), model, interrupted=interrupted, horizon=horizon)
 
@@ -160,10 +164,10 @@ def _search(
         first = None
         step = so_far.asked = _accepted_first(step)
         steps.append(step)
-        best, swaps = step.best, list[SelectionStep]()
+        best, swaps = step.leader, list[SelectionStep]()
         if best is not None and model.effects and promising(best, model):
             swaps = _swaps(fits, so_far.base, best, steps)
-            best = min((s.best for s in swaps if s.best is not None), key=lambda e: e.error, default=best)
+            best = min((s.leader for s in swaps if s.leader is not None), key=lambda e: e.error, default=best)
         if best is None or not accepted(best, model, step.candidates):
             break
         before = _refit_before(fits, so_far.base, best, model)
@@ -261,13 +265,13 @@ def _swaps(
     """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
     found = []
     for one in steps:
-        name = None if one.swap or one.best is None else added_effect(one.best, one.before)
-        if name not in chosen.effects or one.best is None or one.best.effects == chosen.effects:
+        name = None if one.swap or one.leader is None else added_effect(one.leader, one.before)
+        if name not in chosen.effects or one.leader is None or one.leader.effects == chosen.effects:
             continue
         rest = without(chosen.system, base.system, name)
         if rest is None:
             continue
-        near = one.best.error / (1.0 - CRITERIA.distinct_fall)
+        near = one.leader.error / (1.0 - CRITERIA.distinct_fall)
         rivals = [e for e in one.candidates[1:] if e.judged and e.error < near][:FINALISTS]
         tasks = swapped(rest, tuple(e for e in chosen.effects if e != name), rivals, one.before)
         ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)

@@ -45,7 +45,7 @@ class WholeRobot:
         nominal: System,
         answers: Mapping[str, Answer],
         signal_share: float,
-        horizon: Horizon | None = None,
+        horizon: Horizon,
     ) -> None:
         self.nominal, self.answers, self.signal_share = nominal, answers, signal_share
         self.numbers = {name: joint_number(nominal, name) for name in answers}
@@ -53,7 +53,7 @@ class WholeRobot:
         self.every = len(self.numbers) == len(nominal.joints)
         some_joints = self.numbers.values()
         self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
-        self.horizon = horizon or shortest([one.fits.horizon for one in answers.values()])
+        self.horizon = horizon
         self.kept = next(iter(answers.values())).fits.kept
 
     def key(self, name: str) -> str:

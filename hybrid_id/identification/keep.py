@@ -189,7 +189,7 @@ def _digest(digest: Any, value: Any) -> None:
     elif is_dataclass(value):
         _digest(digest, {one.name: getattr(value, one.name) for one in fields(value)})
     elif isinstance(value, Mapping):
-        _digest(digest, [(key, value[key]) for key in value])
+        _digest(digest, [(key, value[key]) for key in sorted(value, key=repr)])
     elif isinstance(value, tuple | list):
         digest.update(f"[{len(value)}".encode())
         for one in value:

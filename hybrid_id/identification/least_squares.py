@@ -29,9 +29,9 @@ SHARP = 0.1
 PERFECT = 1e-8
 """Least variance of the weighted residuals: a record that is met to a ten-thousandth of its noise is met."""
 PATIENCE = 4
-"""Trial steps that together have to gain something, where a fit is to end early, and"""
+"""Trial steps that together have to gain something, where a fit is to end early."""
 LOST = 1e3
-"""cost over the least so far at which it ends, too: closing its defects has shown that it has lost its way."""
+"""Cost over the least so far at which such a fit ends, too: closing its defects has shown that it has lost its way."""
 STALLED = 1e12
 """Damping at which no step is left."""
 

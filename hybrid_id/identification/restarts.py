@@ -50,7 +50,7 @@ def confirmed(
     kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> FitResult:
-    """The fit, or a better one that a restart beside it has led to; its status is "converged" only if no restart did.
+    """The fit, or a better one that restarts beside it have led to; "max_iterations" where each did.
 
     The restart begins beside the estimate along the axes of what the records tell, to a random side of each, and far
     along the weak ones. Where a few iterations from there end lower, the fit goes on from them. A fit that leaves no

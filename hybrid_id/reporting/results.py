@@ -263,7 +263,8 @@ def write_parameters(path: Path, study: Study) -> None:
         errors, intervals = study.standard_errors(i), study.intervals(i)
         for k, (name, value, unit) in enumerate(zip(study.names, result.values, result.units, strict=True)):
             known = bool(np.isfinite(errors[k]))
-            interval = (f"{v:.6g}" if known else "" for v in (errors[k], *intervals[k], *intervals[k]))
+            ends = ("" if np.isnan(v) else f"{v:.6g}" for v in (*intervals[k], *intervals[k]))
+            interval = f"{errors[k]:.6g}" if known else "", *ends
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
     write_rows(path, PARAMETER_HEADS, rows)

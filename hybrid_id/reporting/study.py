@@ -238,5 +238,5 @@ def _lead(dataset: Dataset, study: Study, residuals: Residuals | None) -> str:
         words += f" Its residual is {'noise' if noise else 'not only noise: see Residuals'}."
     unclaimed = study.identifiability.not_claimable
     if unclaimed:
-        words += f" These records identify {', '.join(unclaimed)} only in combinations."
+        words += f" Of {', '.join(unclaimed)} these records tell no value of their own."
     return words

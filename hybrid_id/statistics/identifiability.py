@@ -105,13 +105,12 @@ def identifiability(
     prior_precision: np.ndarray | None = None,
     scale: np.ndarray | None = None,
     inflation: float = 1.0,
-    vague: float = VAGUE,
     references: Sequence[str] = (),
 ) -> Identifiability:
     """Singular value decomposition of the Jacobian with respect to relative changes of the parameters.
 
     A direction counts as not identified where the records leave the parameter that it moves most with a
-    relative standard error above `vague`, given the noise, or where they see nothing of it at all.
+    relative standard error above `VAGUE`, given the noise, or where they see nothing of it at all.
 
     Args:
         values: θ (p,) at which the Jacobian was taken.
@@ -120,7 +119,6 @@ def identifiability(
         prior_precision: Inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         scale: Size that stands in for a parameter whose value is zero (p,).
         inflation: Factor on standard errors for correlated residuals.
-        vague: Relative standard error from which a direction counts as not identified.
         references: Names of parameters to divide by in combinations, motor constants say.
 
     Raises:
@@ -138,7 +136,7 @@ def identifiability(
         along = np.abs(vectors).max(axis=0) / singular  # relative error of the parameter that moves most
     null = singular <= _ROUNDING * len(values) * singular[0]
     hopeless = null | (along > _HOPELESS)
-    weak = simple_basis(vectors[:, ~hopeless & (along > vague)], _SMALL_ENTRY)
+    weak = simple_basis(vectors[:, ~hopeless & (along > VAGUE)], _SMALL_ENTRY)
     moves = np.column_stack([simple_basis(vectors[:, hopeless]), weak])
     basis = np.column_stack([moves[:, : hopeless.sum()], *(normalise(v, _SMALL_ENTRY) for v in weak.T)])
 
@@ -163,7 +161,7 @@ def identifiability(
         singular_values=singular,
         directions=tuple(directions),
         relative_std=relative_std,
-        claimable=relative_std < vague,
+        claimable=relative_std < VAGUE,
         prior_share=np.minimum(np.where(np.isinf(relative_std), 0, relative_std) ** 2 * np.diag(prior), 1),
         combinations=combinations,
         combination_std=np.array([np.linalg.norm(g @ seen) for g in gradients]),
@@ -277,7 +275,7 @@ def identifiable_combinations(
     sum; other directions give products of powers, which are right near `values`.
 
     Args:
-        basis: Relative changes (p, k) from `null_directions.simple_basis`.
+        basis: Relative changes (p, k) from `simple_basis`.
         values: θ (p,), not zero where a direction moves it.
         names: Names of the p parameters.
         references: Names of parameters to divide by, where there is a choice.

@@ -66,7 +66,8 @@ def fit_in_processes(
             if horizon is None:
                 batch = batch_of(dataset, system, records, signal_share, "cpu")
                 horizon = choose_horizon(system, settings["engine"], batch, sets, options=settings["options"])
-                sets = sets if horizon.kind == "whole" or stop.exists() else fitted(horizon)
+                if horizon.kind != "whole":  # stopped before, the sets are those of whole records
+                    sets, horizon = (sets, WHOLE) if stop.exists() else (fitted(horizon), horizon)
         finally:
             watch(None)
     return sets, horizon

@@ -208,7 +208,9 @@ def test_a_channel_that_is_late_is_shifted_for_every_stage(nominal: System, monk
             raise KeyboardInterrupt
 
     found = diagnose_arm(dataset, nominal, progress=stop)
-    assert found.dataset.records[0].n_samples < dataset.records[0].n_samples  # the ends have no value any more
+    assert (
+        found.dataset.records[0].n_samples < dataset.records[0].n_samples
+    )  # the ends have no value any more
     assert found.joints["pan"].skews == (late.message,)
 
 

@@ -202,12 +202,12 @@ def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(module, "accepted_ones", lambda one: list(one.candidates))
     # no effect follows whole records; over short ones what was lost there explains next to all
     found = taken(step(10.0, 0.5), step(12.0, 80.0), 0.5)
-    assert found.best.effects[0][0] == "load_dependent_friction"
+    assert found.leader.effects[0][0] == "load_dependent_friction"
     assert taken(step(10.0, 5.0), step(12.0, 80.0), 0.5) is None  # not next to all
     # where whole records are followed, only what explains them is looked for over short ones
     assert taken(step(10.0, 0.5), step(1.0, 80.0), 0.01) is None
     found = taken(step(1.0, 0.5, rivalry=-5.0), step(1.0, 1.1, rivalry=-1.0), 0.01)
-    assert found.best.effects[0][0] == "load_dependent_friction"
+    assert found.leader.effects[0][0] == "load_dependent_friction"
     assert taken(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0), 0.01) is None
     assert taken(step(1.1, 1.0), None, 9.0) is not None
 
