@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.errors_on_test import errors
-from hybrid_id.diagnosis.fits import FULL, WINDOW, engine, with_priors_of, without_priors
+from hybrid_id.diagnosis.fits import FULL, SLOW, WINDOW, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
@@ -96,7 +96,8 @@ def fitted(system: System, rows: Batch, kept: Kept | None) -> FitResult:
     Raises:
         RuntimeError: its free runs diverge, or run away from the end of the fit.
     """
-    options = Options(max_iterations=FULL)
+    # a robot that lacks what it is fitted without may wander for long: how it ends decides by percents
+    options = Options(max_iterations=FULL, tolerance=0.05, least_gain=SLOW)
     found = kept_fit(kept, system, rows, pooled=True, engine=engine(), options=options, warm=False)[0]
     if not all(np.isfinite(piece).all() for piece in found.residual):
         raise RuntimeError("The fitted robot runs away.")

@@ -32,6 +32,8 @@ PATIENCE = 4
 """Trial steps that together have to gain something, where a fit is to end early."""
 LOST = 1e3
 """Cost over the least so far at which such a fit ends, too: closing its defects has shown that it has lost its way."""
+NOTHING = 0.05
+"""Fall of the cost, in variances of what is left, that such a fit takes for none: a third of a standard error."""
 STALLED = 1e12
 """Damping at which no step is left."""
 
@@ -282,7 +284,8 @@ class Options:
         chunk: samples that are integrated in a row between nodes.
         damping: initial Levenberg-Marquardt damping, relative to the diagonal.
         least_gain: share of the cost beyond the noise's, half a unit a sample, that :data:`PATIENCE` trial steps
-            together have to gain; a set that gains less has stalled. With 0 it goes on as long as it can.
+            together have to gain, and :data:`NOTHING` at least; a set that gains less has stalled. With 0 it goes on
+            as long as it can.
         closed: whether the end is a free run; a first look at many models may leave small defects between samples.
         loss: loss of the weighted residuals.
     """
@@ -533,7 +536,8 @@ class _Descent:
         beyond = (cost - 0.5 * self.data[self.running]).clamp_min(0.0)
         gain = costs[-1 - PATIENCE] - cost
         # a cost that has risen was too low by open defects: the fit is not where it was
-        little = (gain >= 0.0) & (gain < self.options.least_gain * beyond)
+        nothing = NOTHING * self.residual_variance[self.running]
+        little = (gain >= 0.0) & (gain < torch.maximum(self.options.least_gain * beyond, nothing))
         return little | (cost > LOST * costs.amin(0))
 
     def take(self, turn: _Turn) -> None:
