@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, without_priors
+from hybrid_id.diagnosis.fits import FULL, SLOW, Fits, Task, engine, without_priors
 from hybrid_id.diagnosis.model import FittedModel, Unfitted
 from hybrid_id.diagnosis.starts import at_nominal
 from hybrid_id.diagnosis.validation import autocorrelation, mean_square
@@ -60,7 +60,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     system, batch = model.system, fits.records(model.system)
     if batch.rows < 2 or not fits.whole:
         return None
-    options = Options(max_iterations=FULL, tolerance=0.05)
+    options = Options(max_iterations=FULL, tolerance=0.05, least_gain=SLOW)
     start = without_priors(at_nominal(system, nominal) or system, nominal)
     try:
         sets = kept_fit(fits.kept, start, batch, pooled=False, engine=engine(), options=options)
