@@ -74,7 +74,7 @@ class Experiment:
             fitted anew to all records, over the errors that they leave on the records at hand (the encoders' noise at
             least): of those pairs that these records distinguish the smallest, or the largest where they distinguish
             none.
-        together: pairs of effects, ``name@where``, that they do not distinguish.
+        undistinguished: pairs of effects, ``name@where``, that they do not distinguish.
         by_controller: whether the joint's own controller has to follow the goal, in place of the torque that is logged.
     """
 
@@ -86,7 +86,7 @@ class Experiment:
     channel: str
     start: Mapping[str, float]
     distance: float = 0.0
-    together: tuple[tuple[str, str], ...] = ()
+    undistinguished: tuple[tuple[str, str], ...] = ()
     by_controller: bool = False
 
     @property
@@ -414,7 +414,7 @@ def _chosen(
         clear = apart >= DISTINGUISHABLE
         shown = clear if clear.any() else apart == apart.max()
         alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
-        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), together=alike))
+        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), undistinguished=alike))
     return result
 
 

@@ -279,7 +279,7 @@ class Diagnosis:
                     "posture": e.posture,
                     "joint": e.joint,
                     "distance": e.distance,
-                    "confounded": [[self._named(name) for name in pair] for pair in e.together],
+                    "confounded": [[self._named(name) for name in pair] for pair in e.undistinguished],
                 }
                 for e in self.proposed
             ],

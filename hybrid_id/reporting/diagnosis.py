@@ -243,6 +243,7 @@ def diagnosis_page(
     records = page.section("Records").add(records_table(dataset))
     if words := thinned_line(diagnosis):
         records.add(_sentence(words))
+    records.add(*(_sentence(f"shifted for this diagnosis alone: {words}.") for words in diagnosis.skews))
     if findings:
         records.add(findings_list(findings))
     return page

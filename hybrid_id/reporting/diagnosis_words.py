@@ -353,7 +353,7 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
         "(RMS)."
     )
     alike = "; ".join(
-        " and ".join(_at(*_member(name), diagnosis.model) for name in pair) for pair in best.together
+        " and ".join(_at(*_member(name), diagnosis.model) for name in pair) for pair in best.undistinguished
     )
     return [words + (f" They do not distinguish {alike}." if alike else "")]
 

@@ -55,7 +55,7 @@ def test_each_record_adds_what_those_before_it_lack() -> None:
     ]
     found = next_experiment(dataset, [tied])
     assert 0 < len(found) <= RECORDS and len(found) == len({one.name for one in found})
-    assert found[0].distinguishes and not found[0].together
+    assert found[0].distinguishes and not found[0].undistinguished
     largest = max(np.abs(record.inputs["u1"]).max() for record in dataset.train)
     for one in found:
         assert one.joint == 1 and not one.by_controller
@@ -102,7 +102,7 @@ def test_what_no_command_distinguishes_is_said_and_the_rest_distinguished() -> N
         dataset, today.with_component("joint1/load", Spring(k_s=0.05)), "spring", iterations=20
     )
     best = next_experiment(dataset, [[bias, uneven, spring]])[-1]
-    assert best.distinguishes and best.together == (("bias@joint1/load", "uneven@joint1/load"),)
+    assert best.distinguishes and best.undistinguished == (("bias@joint1/load", "uneven@joint1/load"),)
 
 
 def test_pairs_of_two_ties_are_compared_within_each() -> None:
@@ -112,7 +112,7 @@ def test_pairs_of_two_ties_are_compared_within_each() -> None:
         explanation(dataset, today.with_component("joint1/motor_friction", FALLING), "fall"),
     )
     found = next_experiment(dataset, [[one, other], [one, one]])
-    assert found[-1].distinguishes and found[-1].together == (("", ""),)
+    assert found[-1].distinguishes and found[-1].undistinguished == (("", ""),)
 
 
 def test_noise_that_nobody_declared_is_estimated() -> None:
