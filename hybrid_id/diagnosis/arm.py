@@ -109,7 +109,8 @@ class ArmDiagnosis:
         nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
         shrink: how far the gap shrinks there.
         contradiction: where the test records contradict the answer, in a sentence; empty elsewhere.
-        interrupted: whether the search was stopped, so that some joints lack.
+        interrupted: whether it was stopped, so that joints, or what all of them say together, may lack.
+        skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
     """
 
     dataset: Dataset
@@ -128,6 +129,7 @@ class ArmDiagnosis:
     shrink: Shrink | None
     contradiction: str
     interrupted: bool
+    skews: tuple[str, ...] = ()
 
     @property
     def case(self) -> str:
@@ -233,6 +235,7 @@ class ArmDiagnosis:
             "case": self.case,
             "verdict": self.verdict,
             "interrupted": self.interrupted,
+            "skews": list(self.skews),
             "unknown": self.unknown,
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
             "effects": effects,
@@ -293,10 +296,9 @@ def diagnose_arm(
 
     Raises:
         InputError: no joint can be diagnosed, or there is none of a name; and see :func:`hybrid_id.diagnose`.
-        KeyboardInterrupt: stopped before the first joint's search has found anything.
+        KeyboardInterrupt: stopped before the first joint's search has found anything, or before its report.
     """
-    skews = find_skews(dataset)
-    dataset = dataset.without_skew({one.channel: one.late for one in skews})
+    dataset, skews = _at_one_time(dataset, system)
     names, skipped = _to_diagnose(dataset, system, joints)
     found: dict[str, tuple[Measured, Answer]] = {}
     how = {
@@ -340,12 +342,27 @@ def diagnose_arm(
         except KeyboardInterrupt:
             stopped = True
     done = _reported(system, found, answers, skews, skipped, seed, level)
-    skipped |= {name: STOPPED for name in names if name not in done and name not in skipped}
-    whole = dataset, system, done, skipped
+    lacking = [name for name in names if name not in done and name not in skipped]
+    skipped |= dict.fromkeys(lacking, STOPPED)
+    whole, how = (dataset, system, done, skipped, skews), (horizon, seed, signal_share, kept)
     try:
-        return _of_whole_robot(*whole, stopped, horizon, seed, signal_share, kept)
+        return _of_whole_robot(*whole, stopped or bool(lacking), *how)
     except KeyboardInterrupt:
-        return _of_whole_robot(*whole, True, horizon, seed, signal_share, kept)
+        return _of_whole_robot(*whole, True, *how)
+
+
+def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew, ...]]:
+    """The records with late channels shifted, and these: one time for every stage.
+
+    Not those of coupled gears, whose encoders tell of several motors.
+    """
+    single = {str(j.number) for j, ratio in zip(system.joints, system.own_ratios, strict=True) if ratio}
+    skews = tuple(one for one in find_skews(dataset) if number_of(one.channel) in single)
+    with suppress(
+        InputError
+    ):  # longer than a record: each joint is asked by itself, with the records that it has
+        return dataset.without_skew({one.channel: one.late for one in skews}), skews
+    return dataset, ()
 
 
 def _to_diagnose(
@@ -381,7 +398,11 @@ def _reported(
         own = tuple(one for one in skews if number_of(one.channel) == str(k + 1))
         try:
             done[name] = reported(
-                replace(measured, skews=own), alone(system, k), answers[name], seed=seed, level=level
+                replace(measured, skews=(*own, *measured.skews)),
+                alone(system, k),
+                answers[name],
+                seed=seed,
+                level=level,
             )
         except InputError as error:
             if len(found) == 1:
@@ -423,6 +444,7 @@ def _of_whole_robot(
     nominal: System,
     found: Mapping[str, Diagnosis],
     skipped: Mapping[str, str],
+    skews: Sequence[Skew],
     stopped: bool,
     horizon: Horizon,
     seed: int,
@@ -457,7 +479,7 @@ def _of_whole_robot(
     (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
-        nominal_errors, before, after, gap, contradiction, stopped,
+        nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle, with_further
 from hybrid_id.diagnosis.criteria import CRITERIA
@@ -104,6 +104,7 @@ def select(
     try:
         _search(fits, so_far, nominal, first, max_effects, progress)
     except KeyboardInterrupt:
+        so_far.steps = so_far.steps or so_far.repeated
         if not so_far.steps:
             raise
         return so_far.selection(fits.horizon, interrupted=True)
@@ -119,12 +120,14 @@ class _SoFar:
         model: the model that it has come to.
         steps: the selection steps.
         asked: the last step, as long as nothing is decided of it.
+        repeated: a step that is being repeated, from where the model before it has been fitted again.
     """
 
     base: FittedModel
     model: FittedModel
     steps: list[SelectionStep]
     asked: SelectionStep | None = None
+    repeated: list[SelectionStep] = field(default_factory=list)
 
     def selection(self, horizon: Horizon, *, interrupted: bool = False) -> Selection:
         """The result of the search; what leads a step that nothing is decided of yet counts where it is accepted."""
@@ -141,6 +144,7 @@ class _SoFar:
 
 def stopped_after(step: SelectionStep, base: FittedModel, horizon: Horizon) -> Selection:
     """What a search has found that was stopped after its first step."""
+    step = _accepted_first(step)
     return _SoFar(base, base, [step], step).selection(horizon, interrupted=True)
 
 
@@ -178,7 +182,7 @@ def _search(
             if before is model or restarted:
                 break
             restarted = True  # the fit before had not found its best: the step is repeated from there
-            steps.pop()
+            so_far.repeated = [steps.pop()]
             continue
         steps += swaps
         so_far.model, so_far.asked = best, None

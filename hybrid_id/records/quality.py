@@ -251,9 +251,9 @@ def _motion(record: Record, values: np.ndarray, fine: float) -> Iterator[tuple[S
 
 
 def _merged(findings: list[Finding]) -> Iterator[Finding]:
-    """Join findings that more than two records share into the first of them, which then names the others.
+    """Join findings of more than two records into the first of them, which then names the others.
 
-    Those without a number of their own say the same of every channel, and are joined over channels, too.
+    Those without a number of their own say the same of every channel: records and channels together count.
     """
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:

@@ -36,6 +36,7 @@ from hybrid_id.reporting.diagnosis_words import (
     share_interval,
     share_words,
     shrink_line,
+    skew_lines,
     spot_words,
     sure_words,
     tie_lines,
@@ -120,7 +121,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
         sentence = _nothing_named(found)
     if found.interrupted:
         lacking = STOPPED in found.skipped.values() or any(one.interrupted for one in found.joints.values())
-        what = "not all joints were diagnosed to the end" if lacking else "the whole robot was not checked"
+        what = "not all joints were diagnosed to the end" if lacking else "what all joints say together lacks"
         sentence += f" The search was interrupted: {what}."
     return f"{sentence} {found.contradiction}".rstrip() if found.selected else sentence
 
@@ -387,7 +388,7 @@ def arm_page(
     tests = page.section("Test records").add(*(Text(capital(line)) for line in error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records = page.section("Records").add(records_table(found.dataset))
+    records = page.section("Records").add(records_table(found.dataset), *map(Text, skew_lines(found.skews)))
     if findings:
         records.add(findings_list(findings))
     return page

@@ -33,6 +33,7 @@ from hybrid_id.reporting.diagnosis_words import (
     place_words,
     rejected_lines,
     share_words,
+    skew_lines,
     thinned_line,
     tie_lines,
     value_lines,
@@ -243,7 +244,7 @@ def diagnosis_page(
     records = page.section("Records").add(records_table(dataset))
     if words := thinned_line(diagnosis):
         records.add(_sentence(words))
-    records.add(*(_sentence(f"shifted for this diagnosis alone: {words}.") for words in diagnosis.skews))
+    records.add(*map(_sentence, skew_lines(diagnosis.skews)))
     if findings:
         records.add(findings_list(findings))
     return page

@@ -470,6 +470,11 @@ def moved_values(diagnosis: Diagnosis) -> Iterator[Moved]:
             yield known[name], value, ends
 
 
+def skew_lines(skews: Sequence[str]) -> list[str]:
+    """Channels that a diagnosis has shifted, a line each: what was found, without what to do about it elsewhere."""
+    return [f"{words.partition(';')[0]}: it was shifted for this diagnosis." for words in skews]
+
+
 def extrapolation_lines(diagnosis: Diagnosis) -> list[str]:
     """Test records that go where no train record has been, where something is left or contradicts."""
     doubt = diagnosis.unknown or diagnosis.rejected or diagnosis.contradiction

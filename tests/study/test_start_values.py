@@ -77,12 +77,23 @@ def test_angles_far_out_of_the_joints_range_are_in_another_unit(
     assert all("takes pan through" in f.message and "its range in arm.xml" in f.message for f in findings)
 
 
-@pytest.mark.parametrize(("unit", "severity"), [(1.0, None), (10.0, "warning"), (180.0 / np.pi, "error")])
-def test_a_goal_that_the_angle_follows_far_off_is_in_another_unit(unit: float, severity: str | None) -> None:
+@pytest.mark.parametrize(
+    ("unit", "turns", "severity"),
+    [
+        (1.0, 1.0, None),
+        (10.0, 1.0, "warning"),
+        (180.0 / np.pi, 1.0, "error"),
+        (50.0, 50.0, None),  # this loop reads the motor's angle, 50 turns for one of the joint
+        (1.0, 50.0, "error"),
+    ],
+)
+def test_a_goal_that_the_angle_follows_far_off_is_in_another_unit(
+    unit: float, turns: float, severity: str | None
+) -> None:
     """In degrees, say; a servo that trails its goal by a tenth of its motion is none."""
     goal = np.sin(9 * TIME)
     record = Record("a", TIME, {"goal1": unit * goal}, {"q_a1": 0.9 * np.sin(9 * TIME - 0.2)})
     dataset = Dataset("a", (Channel("goal1", "rad"),), (Channel("q_a1", "rad", NOISE),), (record,), 0.01)
-    servo = one_link().with_component("joint1/input", PositionLoop())
+    servo = one_link(turns).with_component("joint1/input", PositionLoop())
     found = check_scales(dataset, servo)
     assert [(one.severity, one.channel) for one in found] == [(severity, "goal1")] * bool(severity)
