@@ -395,15 +395,10 @@ def _reported(
     done = dict[str, Diagnosis]()
     for name, (measured, _) in found.items():
         k = joint_number(system, name)
-        own = tuple(one for one in skews if number_of(one.channel) == str(k + 1))
+        own = (one for one in skews if number_of(one.channel) == str(k + 1))
+        measured = replace(measured, skews=(*own, *measured.skews))
         try:
-            done[name] = reported(
-                replace(measured, skews=(*own, *measured.skews)),
-                alone(system, k),
-                answers[name],
-                seed=seed,
-                level=level,
-            )
+            done[name] = reported(measured, alone(system, k), answers[name], seed=seed, level=level)
         except InputError as error:
             if len(found) == 1:
                 raise

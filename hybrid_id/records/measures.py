@@ -165,7 +165,7 @@ def has_arrived(values: np.ndarray, goal: np.ndarray, at: int) -> bool:
     """Return whether a joint stops at a sample because its goal is there, and rests or turns.
 
     There means within a tenth of how far the goal moves, and anywhere where it never moves; it rests or turns where it
-    goes less far, from shortly before to shortly after, than a third of what it does at most in that time, but for one sample in a hundred.
+    goes less far, from shortly before to shortly after, than a third of what it does in that time where it is fastest.
 
     Args:
         values: Angle, (T,).

@@ -121,9 +121,8 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
     measured = {channel.name for channel in dataset.outputs}
     for joint, ratio in zip(system.joints, system.own_ratios, strict=True):
         goal, n = f"goal{joint.number}", joint.number
-        turns = (
-            1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio
-        )  # of the joint, for one that loops read
+        # of the joint, for one of the side that the loop reads
+        turns = 1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio
         sides = {f"q_a{n}": turns} | ({f"q_m{n}": ratio * turns} if ratio else {})
         for name in [name for name in sides if name in measured and goal in system.input_names][:1]:
             pairs = [(r.outputs[name] / sides[name], r.inputs[goal]) for r in dataset if goal in r.inputs]
