@@ -358,6 +358,8 @@ def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew,
     """
     single = {str(j.number) for j, ratio in zip(system.joints, system.own_ratios, strict=True) if ratio}
     skews = tuple(one for one in find_skews(dataset) if number_of(one.channel) in single)
+    if not skews:
+        return dataset, ()
     with suppress(
         InputError
     ):  # longer than a record: each joint is asked by itself, with the records that it has
