@@ -360,9 +360,8 @@ def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew,
     skews = tuple(one for one in find_skews(dataset) if number_of(one.channel) in single)
     if not skews:
         return dataset, ()
-    with suppress(
-        InputError
-    ):  # longer than a record: each joint is asked by itself, with the records that it has
+    # where one is longer than a record, each joint is asked by itself, with the records that it has
+    with suppress(InputError):
         return dataset.without_skew({one.channel: one.late for one in skews}), skews
     return dataset, ()
 
