@@ -66,8 +66,8 @@ CLOSER = 0.99
 TRIES = 2
 """Rounds of perturbed restarts of a gear whose link nobody measures."""
 SUBSTEP_RATE = 4000.0
-"""Sub-steps that a candidate needs at most [1/s]: they follow what swings at 300 Hz. More where the nominal model
-takes more than half as many: twice its own."""
+"""Sub-steps that a candidate needs at most [1/s]: they follow what swings at 300 Hz. More where the nominal values
+ask for more than half as many: twice theirs; not where a fit does, which may be close to a singular mass matrix."""
 SLOW = 1e-3
 """Share of what a fit leaves beyond noise that a few steps, or one by new finite slopes, have to gain for another."""
 NARROWEST = 1e-6
@@ -176,7 +176,9 @@ class Fits:
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = kept_fit(self.kept, system, batch, pooled=True, engine=engine(), options=options)[0]
-        most = max(round(SUBSTEP_RATE * batch.sample_time), 2 * near.engine.substeps, 1)
+        most = max(
+            round(SUBSTEP_RATE * batch.sample_time), 2 * with_substeps(system, engine(), batch).substeps, 1
+        )
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
         best = self._best([Task((), near.system, x0=near.x0), Task((), system)])
         if best is None:

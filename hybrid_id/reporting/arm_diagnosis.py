@@ -54,7 +54,7 @@ PAGE = "report.html"
 MOVED = 6
 """Parameters of a robot, of those that moved, which are listed."""
 _VERDICTS = {
-    "parameters_only": "nothing; other parameter values",
+    "parameters_only": "nothing; other values",
     "no_gap": "nothing",
     "outside_catalogue": "something outside the catalogue",
     "inconclusive": "inconclusive",
@@ -181,7 +181,11 @@ def joints_table(found: ArmDiagnosis) -> Table:
             (joint, lacks(found, joint), percent(part), explained, sure, left, *_errors_cells(found, joint))
         )
     models = _models(found)
-    errors = (*(f"RMSE {name}>" for name in models), *(("unit",) if models else ()))
+    units = {row[-1] for row in rows} if models else set()
+    if len(units) == 1:  # a column less, where terminals are narrow
+        rows, errors = [row[:-1] for row in rows], [f"RMSE {name} ({min(units)})>" for name in models]
+    else:
+        errors = [*(f"RMSE {name}>" for name in models), *(("unit",) if models else ())]
     heads = (
         "joint",
         "lacks",
