@@ -200,7 +200,9 @@ def joints_table(found: ArmDiagnosis) -> Table:
         for joint, why in found.skipped.items()
         if why != NOT_ASKED
     ]
-    return table(heads, rows)
+    made = table(heads, rows)
+    made.columns[0].no_wrap = True  # the name of a joint stays whole, where there is room for it at all
+    return made
 
 
 def _models(found: ArmDiagnosis) -> dict[str, Errors]:
