@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -344,11 +345,14 @@ def diagnose_arm(
     done = _reported(system, found, answers, skews, skipped, seed, level)
     lacking = [name for name in names if name not in done and name not in skipped]
     skipped |= dict.fromkeys(lacking, STOPPED)
-    whole, how = (dataset, system, done, skipped, skews), (horizon, seed, signal_share, kept)
+    robot = partial(
+        _of_whole_robot, dataset, system, done, skipped, skews, horizon=horizon, seed=seed,
+        signal_share=signal_share, kept=kept,
+    )  # fmt: skip
     try:
-        return _of_whole_robot(*whole, stopped or bool(lacking), *how)
+        return robot(stopped=stopped or bool(lacking))
     except KeyboardInterrupt:
-        return _of_whole_robot(*whole, True, *how)
+        return robot(stopped=True)
 
 
 def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew, ...]]:

@@ -191,7 +191,9 @@ class Fits:
         again = confirmed(
             best.result, self.batch(best.system), options=Options(tolerance=0.05), kept=self.kept
         )
-        left = [best.result] * (not best.judged) + [again] * (again is not best.result)
+        left = [] if best.judged else [best.result]
+        if again is not best.result:
+            left.append(again)
         ends = self.run([Task((), end.system, x0=end.x0) for end in left], FULL)
         judged = [end for end in (best, *ends) if end is not None and end.judged]
         best = min(judged, key=lambda e: e.result.cost, default=best)

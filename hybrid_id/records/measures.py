@@ -16,6 +16,7 @@ STUCK = 10  # samples in a row at one extreme
 DRIVES = ("u", "duty", "tau", "i")  # stems of the inputs that push the motor
 _AT_REST: WeakKeyDictionary[Record, int] = WeakKeyDictionary()
 _NOISE: WeakKeyDictionary[Record, dict[str, float]] = WeakKeyDictionary()
+_SPREAD: WeakKeyDictionary[Record, dict[str, float]] = WeakKeyDictionary()
 
 
 def quantisation_step(values: np.ndarray) -> float:
@@ -74,6 +75,15 @@ def noise_of(record: Record, output: str) -> float:
     if output not in known:
         values = record.outputs[output]
         known[output] = float(noise_level(values)) if values.size > ORDER else 0.0
+    return known[output]
+
+
+def spread_of(record: Record, output: str) -> float:
+    """Standard deviation of one output of a record, computed once; exactly 0 where it never changes."""
+    known = _SPREAD.setdefault(record, {})
+    if output not in known:
+        values = record.outputs[output]
+        known[output] = float(np.std(values)) if np.ptp(values) > 0 else 0.0
     return known[output]
 
 

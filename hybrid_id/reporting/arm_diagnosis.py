@@ -181,7 +181,7 @@ def joints_table(found: ArmDiagnosis) -> Table:
             (joint, lacks(found, joint), percent(part), explained, sure, left, *_errors_cells(found, joint))
         )
     models = _models(found)
-    units = {row[-1] for row in rows} if models else set()
+    units = {row[-1] for row in rows} - {""} if models else set()
     if len(units) == 1:  # a column less, where terminals are narrow
         rows, errors = [row[:-1] for row in rows], [f"RMSE {name} ({min(units)})>" for name in models]
     else:

@@ -12,7 +12,7 @@ from torch import Tensor
 from hybrid_id.components.input.servo_integral import ServoIntegral
 from hybrid_id.errors import InputError
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
-from hybrid_id.records.measures import noise_of, quantisation_step, rest_samples
+from hybrid_id.records.measures import noise_of, quantisation_step, rest_samples, spread_of
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
 from hybrid_id.simulation.batch import Batch
@@ -186,9 +186,7 @@ def typical_deviations(
 
 def _deviation(record: Record, name: str, noise: float, signal_share: float) -> float:
     """Standard deviation of an output's measurements by one record alone; of values that are all the same the noise."""
-    values = record.outputs[name]
-    spread = float(np.std(values)) if np.ptp(values) > 0 else 0.0
-    return float(np.hypot(noise, signal_share * spread))
+    return float(np.hypot(noise, signal_share * spread_of(record, name)))
 
 
 def _padded(rows: Sequence[np.ndarray], samples: int, hold: bool = True) -> Tensor:

@@ -33,6 +33,7 @@ from hybrid_id.study.base_parameters import BaseParameterCheck, check_base_param
 from hybrid_id.study.replays import batch_of, replay, simulated_over
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
 REFERENCES = ("P_m1", "k_t", "P_m1m1", "P_m1m2")
 """Parameters by which identifiable combinations are divided, where the model has them."""
@@ -120,19 +121,31 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
     """Doubts of the units of goals that angles follow, many times as far or hardly at all."""
     measured = {channel.name for channel in dataset.outputs}
     for joint, ratio in zip(system.joints, system.own_ratios, strict=True):
-        goal, n = f"goal{joint.number}", joint.number
+        goal, sides = f"goal{joint.number}", _sides(joint, ratio)
+        name = next((name for name in sides if name in measured), None)
+        if name is None or goal not in system.input_names:
+            continue
         # of the joint, for one of the side that the loop reads
         turns = 1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio
-        sides = {f"q_a{n}": turns} | ({f"q_m{n}": ratio * turns} if ratio else {})
-        for name in [name for name in sides if name in measured and goal in system.input_names][:1]:
-            pairs = [(r.outputs[name] / sides[name], r.inputs[goal]) for r in dataset if goal in r.inputs]
-            if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
-                words = (
-                    f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
-                    "the dataset file (degrees?), or gear_ratio in the model file"
-                )
-                absurd = max(times, 1.0 / times) > ABSURD
-                yield Finding("error" if absurd else "warning", "unit", words, channel=goal)
+        pairs = [
+            (r.outputs[name] / (sides[name] * turns), r.inputs[goal]) for r in dataset if goal in r.inputs
+        ]
+        if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
+            words = (
+                f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
+                "the dataset file (degrees?), or gear_ratio in the model file"
+            )
+            yield _of_unit(times, words, goal)
+
+
+def _sides(joint: Joint, ratio: float | None) -> dict[str, float]:
+    """Channels of a joint's angle, each with its turns for one of the joint; the motor's where that alone turns it."""
+    return {f"q_a{joint.number}": 1.0} | ({f"q_m{joint.number}": ratio} if ratio else {})
+
+
+def _of_unit(times: float, words: str, channel: str) -> Finding:
+    """A doubt of a channel's unit; an error where no other reason explains so large a factor."""
+    return Finding("error" if max(times, 1.0 / times) > ABSURD else "warning", "unit", words, channel=channel)
 
 
 def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
@@ -143,7 +156,7 @@ def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
     for seat, joint, ratio in zip(system.arm.seats, system.joints, system.own_ratios, strict=True):
         described = system.tree.joints[seat]
         low, high = described.limits
-        sides = {f"q_a{joint.number}": 1.0} | ({f"q_m{joint.number}": ratio} if ratio else {})
+        sides = _sides(joint, ratio)
         for name in sorted(sides.keys() & measured):
             values = [record.outputs[name] for record in dataset]
             span = (max(v.max() for v in values) - min(v.min() for v in values)) / sides[name]
@@ -187,8 +200,7 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
                 f"{output} moves {times:.3g} times as far in the records as with the model's start values, and alike "
                 "otherwise; check its unit and that of the time, or correct the start values"
             )
-            absurd = max(times, 1.0 / times) > ABSURD
-            found.append(Finding("error" if absurd else "warning", "unit", words, channel=output))
+            found.append(_of_unit(times, words, output))
         if _turned([(_steps(a), _steps(b)) for a, b in pairs]):
             words = (
                 f"{output} turns the other way than with the model's start values; if the sign of the sensor or of the "
