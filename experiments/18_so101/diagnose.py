@@ -15,6 +15,7 @@ from run import batch_of, errors
 from scipy.stats import t as student
 
 from hybrid_id import diagnose_arm
+from hybrid_id.identification.keep import Kept
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
@@ -63,9 +64,10 @@ def main() -> None:
             models["CMA-ES"] = load_model(file)
         compare(wish.open, models, so101.load(wish.data, wish.open)[wish.open])
         return
-    wish.out.mkdir(parents=True, exist_ok=True)
+    fits = wish.out / "fits"
+    fits.mkdir(parents=True, exist_ok=True)
     data, began = so101.load(wish.data, "train")["train"], time.process_time()
-    found = diagnose_arm(data, model(wish.chosen))
+    found = diagnose_arm(data, model(wish.chosen), kept=Kept(fits, "so101"))
     content = found.as_dict() | {"seconds": time.process_time() - began}
     (wish.out / "diagnosis.json").write_text(json.dumps(content))
     save_model(found.model, wish.out / "model.yaml")

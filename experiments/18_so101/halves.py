@@ -1,4 +1,4 @@
-"""SO-101: what each of five joints lacks, by one of two halves of the train motions: halves.py --data FOLDER HALF."""
+"""SO-101: what each joint lacks, by one of two halves of the train motions: halves.py --data FOLDER HALF."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ import so101
 import torch
 from sets import CARRIES_NOTHING, CLIPPED, TABLE
 
-from hybrid_id import diagnose
-from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.records.dataset import Dataset
-from hybrid_id.systems.by_joint import alone, joint_number, moving_records, with_others_measured
+from hybrid_id import diagnose_arm
+from hybrid_id.identification.keep import Kept
 from hybrid_id.systems.chain import System
 
 
@@ -35,33 +33,27 @@ def nominal(folder: Path, *, table: bool = True) -> System:
     )
 
 
-def diagnosed(motions: Dataset, system: System, joint: str) -> Diagnosis:
-    """One joint by itself, as :func:`hybrid_id.diagnose_arm` does it before it simulates all joints together."""
-    k = joint_number(system, joint)
-    return diagnose(with_others_measured(moving_records(motions, k), system, k), alone(system, k))
-
-
 def main() -> None:
-    """Diagnose each joint of one half; a file a joint and half, those that are there stay."""
+    """Diagnose the arm by the motions of one half; fits that are there stay, so that it can be stopped."""
     ask = argparse.ArgumentParser(description=__doc__)
     ask.add_argument("--data", type=Path, required=True)
     ask.add_argument("--out", type=Path, default=Path("runs/so101_diagnosis"))
     ask.add_argument("--table", action="store_true", help="the model knows the table under the arm")
     ask.add_argument("half", type=int, choices=(0, 1))
-    ask.add_argument("joints", nargs="*", default=[])
     wish = ask.parse_args()
     torch.set_num_threads(1)
-    wish.out.mkdir(parents=True, exist_ok=True)
+    fits = wish.out / "fits"
+    fits.mkdir(parents=True, exist_ok=True)
     motions = so101.load(wish.data, "train")["train"]
     motions = replace(motions, records=motions.records[wish.half :: 2])
-    for joint in wish.joints or so101.JOINTS:
-        file, began = wish.out / f"{joint}_{wish.half}.json", time.process_time()
-        if file.exists():
-            continue
-        found = diagnosed(motions, nominal(wish.data, table=wish.table), joint)
-        seconds = time.process_time() - began
-        file.write_text(json.dumps(found.as_dict() | {"seconds": seconds}))
-        print(f"{joint}, half {wish.half}, {seconds:.0f} s\n{found.summary()}", flush=True)
+    began = time.process_time()
+    found = diagnose_arm(motions, nominal(wish.data, table=wish.table), kept=Kept(fits, "so101"))
+    seconds = time.process_time() - began
+    content = found.as_dict() | {"seconds": seconds}
+    (wish.out / f"half_{wish.half}.json").write_text(json.dumps(content))
+    for joint, one in found.joints.items():
+        print(f"{joint}: {one.summary()}\n")
+    print(f"half {wish.half}, {seconds:.0f} s of processor time", flush=True)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from hybrid_id.components.base import Shared
-from hybrid_id.diagnosis.catalogue import brought, effect
+from hybrid_id.diagnosis.catalogue import brought
+from hybrid_id.diagnosis.common_cause import judged_by_all
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
 from hybrid_id.diagnosis.distinguish import distinguished
@@ -28,7 +28,7 @@ from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.whole_robot import common_horizon, parts_of_gap
+from hybrid_id.diagnosis.whole_robot import acts_on_all, common_horizon, parts_of_gap
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE, Horizon
@@ -425,11 +425,12 @@ def _checked(
     signal_share: float,
     progress: Progress | None,
 ) -> dict[str, Answer]:
-    """The joints' answers as the whole robot leaves them: ties that it settles, and claims that help there."""
+    """The joints' answers as the whole robot leaves them: what acts on all, ties that it settles, claims that help."""
     if progress is not None:
         progress("the whole robot", 0, 1)
     how: dict[str, Any] = {"horizon": horizon, "seed": seed, "signal_share": signal_share}
-    settled = distinguished(dataset, system, answers, progress=progress, **how)
+    judged = judged_by_all(dataset, system, answers, progress=progress, **how)
+    settled = distinguished(dataset, system, judged, progress=progress, **how)
     return borne_out(dataset, system, settled, **how)
 
 
@@ -539,9 +540,11 @@ def common_sizes(
     sizes: dict[tuple[str, str, str, str], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
     for joint, one in found.items():
         for each in one.selected:
+            if (each.name, each.where) in one.search.shown_by_robot:
+                continue  # of one size, by all joints together
             # what acts on all joints stands in the robot once: each joint has its own estimate
             whole, own = model, {}
-            if any(issubclass(law, Shared) for law in effect(each.name).laws):
+            if acts_on_all(each.name):
                 whole, own = one.model, {s: v for s, v in each.parameters.items() if v[1] > 0.0}
             for symbol, info in brought(whole, each.name, each.where).items():
                 size = own.get(symbol) or known.get(info.name)

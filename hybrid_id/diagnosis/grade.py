@@ -38,7 +38,8 @@ class RatedEffect:
         share: of the gap that it explains where it is added after those before it; None of one that is not selected.
         share_interval: 95 % interval of that; every draw of records chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
-        sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not.
+        sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not; or all joints of
+            a robot have shown it.
         others: probability that it is one of those it is indistinguishable from, by the step that has compared them.
     """
 
@@ -152,6 +153,8 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         added_effect(b, a): ((a.error - b.error) / gap, _interval(draws[:, k]), bool(chance[k] > 0.0))
         for k, (a, b) in enumerate(pairwise(models))
     }
+    shown = found.shown_by_robot
+    shares |= {name: (*shares[name][:2], True) for name in shown if name in shares}
     rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
@@ -331,7 +334,7 @@ def _interval(draws: np.ndarray) -> Interval:
     return float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))
 
 
-def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel, dict[Name, float]]]:
+def last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel, dict[Name, float]]]:
     """By effect that was tried the step which says how probable it is, its model there, and how probable all are."""
     said: dict[Name, tuple[SelectionStep, FittedModel, dict[Name, float]]] = {}
     for step in found.compared:
@@ -346,18 +349,18 @@ def _last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel
 
 
 def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
-    """Every effect that was tried, with the probability of the step that decides on it (:func:`_last_words`).
+    """Every effect that was tried, with the probability of the step that decides on it (:func:`last_words`).
 
     Where something structural is left, none of the others is excluded by what is selected.
     """
     chosen = set(found.chosen.effects)
     best: dict[Name, RatedEffect] = {}
-    for name, (step, model, odds) in _last_words(found).items():
+    for name, (step, model, odds) in last_words(found).items():
         alike = (added_effect(e, step.before) for e in indistinguishable(model, step))
         ties = [rival for rival in alike if rival != name]
         best[name] = RatedEffect(
             name[0], name[1], odds[name], name in chosen, tuple("@".join(rival) for rival in ties),
-            _parameters(found.chosen if name in chosen else model, name),
+            parameters_of(found.chosen if name in chosen else model, name),
             others=sum(odds[rival] for rival in ties),
         )  # fmt: skip
     # what the selected ones have made needless is no more probable than that these are wrong
@@ -411,9 +414,9 @@ def _probabilities(step: SelectionStep) -> np.ndarray:
     """
     best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
     known = chances(step)
-    present = {one: _present(one, step.before, p) for one, p in known.items()}
+    present = {one: chance_of_presence(one, step.before, p) for one, p in known.items()}
     passing = [one for one, p in known.items() if passes(one, step.before, p)]
-    sure = present.get(best, 0.0)
+    sure = present.get(best, 0.0) if step.shown is None else step.shown
     for k, one in enumerate(step.candidates):
         if step.odds:
             logs[k] = step.odds[k]
@@ -428,7 +431,7 @@ def _probabilities(step: SelectionStep) -> np.ndarray:
     return sure * odds / odds.sum()
 
 
-def _present(one: FittedModel, before: FittedModel, p: float) -> float:
+def chance_of_presence(one: FittedModel, before: FittedModel, p: float) -> float:
     """Probability that the effect of a finished candidate or one beside it is at work, and not none beyond ``before``.
 
     The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds
@@ -482,7 +485,7 @@ def indistinguishable(model: FittedModel, step: SelectionStep) -> list[FittedMod
 
 def tied_models(found: Selection) -> list[list[FittedModel]]:
     """For each selected effect that has rivals the models of the step which rates it, its own and those that tie."""
-    words = _last_words(found)
+    words = last_words(found)
     groups = [
         indistinguishable(model, step) for n, (step, model, _) in words.items() if n in found.chosen.effects
     ]
@@ -512,7 +515,7 @@ def tied_sets(found: Sequence[RatedEffect]) -> list[tuple[str, ...]]:
     return [(f"{c.name}@{c.where}", *c.tied_with) for c in found if c.selected and c.tied_with]
 
 
-def _parameters(model: FittedModel, name: Name) -> dict[str, tuple[float, float]]:
+def parameters_of(model: FittedModel, name: Name) -> dict[str, tuple[float, float]]:
     """Estimates and standard errors of what an effect brings; what it brings fixed has none."""
     result = model.result
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])

@@ -13,16 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from hybrid_id.components.base import Shared
-from hybrid_id.diagnosis.catalogue import CATALOGUE, brought
+from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, frozen_again
 from hybrid_id.diagnosis.grade import of_robot
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.per_record import PerRecord, scatter, structural
-from hybrid_id.diagnosis.select import refitted_without
 from hybrid_id.diagnosis.validation import mean_square
-from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, train_rows
+from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, train_rows, without_effect
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.result import FitResult
@@ -179,7 +177,7 @@ def borne_out(
     for name in unsure:
         claimed = [(e.name, e.where) for e in answers[name].grade.effects if e.selected]
         for effect in reversed(claimed):
-            models = _lacking(robot, chosen, name, effect) if effect in chosen[name].effects else None
+            models = without_effect(robot, chosen, name, effect) if effect in chosen[name].effects else None
             bare = None if models is None else _own_values(robot, models)
             if models is None or bare is None or now is None or helps(now, bare, robot.key(name)):
                 continue
@@ -213,27 +211,3 @@ def _own_values(robot: WholeRobot, models: Mapping[str, FittedModel]) -> OwnValu
     return own_values(
         robot.records, robot.system(models), effects, robot.horizon, robot.signal_share, robot.kept
     )
-
-
-def _lacking(
-    robot: WholeRobot, models: Mapping[str, FittedModel], name: str, effect: Name
-) -> dict[str, FittedModel] | None:
-    """The models without an effect of a joint: of one that acts on several joints, wherever it is claimed."""
-    shared = any(issubclass(law, Shared) for law in CATALOGUE[effect[0]].laws)
-    found = dict(models)
-    for joint, model in models.items():
-        for one in model.effects:
-            if (joint, one) == (name, effect) or (shared and one[0] == effect[0]):
-                rest = _rest(robot.answers[joint], found[joint], one)
-                if rest is None:
-                    return None
-                found[joint] = rest
-    return found
-
-
-def _rest(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
-    """A joint's model less one of its effects, as the search would have it; None where it cannot be fitted."""
-    base = answer.searched.base
-    if len(model.effects) == 1:
-        return base
-    return refitted_without(answer.fits, base, held(model, base), effect)

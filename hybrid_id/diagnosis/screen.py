@@ -42,12 +42,14 @@ class SelectionStep:
         swap: whether an effect and its rivals are compared once more, beside those that were found after it.
         odds: logarithm of the odds of each candidate against the best, where other records than the models' own have
             compared them: those of a whole robot; empty elsewhere.
+        shown: probability that the first one's effect is at work, where all joints of a robot have judged it.
     """
 
     before: FittedModel
     candidates: tuple[FittedModel, ...]
     swap: bool = False
     odds: tuple[float, ...] = ()
+    shown: float | None = None
 
     @property
     def leader(self) -> FittedModel | None:

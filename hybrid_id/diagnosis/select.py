@@ -69,6 +69,12 @@ class Selection:
         return self.steps if self.near is None else (*self.near.steps, *self.steps[1:])
 
     @property
+    def shown_by_robot(self) -> frozenset[Name]:
+        """The effects that all joints of a robot have shown to be at work."""
+        leaders = ((step.leader, step.before) for step in self.steps if step.shown is not None)
+        return frozenset(added_effect(one, before) for one, before in leaders if one is not None)
+
+    @property
     def fitted(self) -> dict[str, FittedModel]:
         """The models that the search stands by: ``re-fitted``, and ``corrected`` where that is another one."""
         return {"re-fitted": self.base} | ({} if self.chosen is self.base else {"corrected": self.chosen})

@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid_id.components.base import Shared
+from hybrid_id.diagnosis.catalogue import CATALOGUE, part_of
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.errors_on_test import errors
 from hybrid_id.diagnosis.fits import FULL, SLOW, WINDOW, engine, with_priors_of, without_priors
-from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.model import FittedModel, Name
+from hybrid_id.diagnosis.select import refitted_without
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import Horizon, shortest
@@ -107,6 +110,45 @@ def fitted(system: System, rows: Batch, kept: Kept | None) -> FitResult:
 def held(model: FittedModel, base: FittedModel) -> FittedModel:
     """A joint's model held by the priors of the search, as its base is."""
     return replace(model, result=replace(model.result, system=with_priors_of(model.system, base.system)))
+
+
+def acts_on_all(effect: str) -> bool:
+    """Whether an effect acts on all joints of a robot that it concerns, so that it stands there once."""
+    return any(issubclass(law, Shared) for law in CATALOGUE[effect].laws)
+
+
+def what(effect: Name, system: System) -> tuple[str, str]:
+    """Which effect a model has, wherever it is listed if it acts on all joints: its name, and where on the robot."""
+    if not acts_on_all(effect[0]):
+        return effect
+    parts = (part_of(system, effect[1], kind) for kind in CATALOGUE[effect[0]].kinds)
+    return effect[0], next((point for part in parts if (point := getattr(part, "point", ""))), "")
+
+
+def without_effect(
+    robot: WholeRobot, models: Mapping[str, FittedModel], name: str, effect: Name
+) -> dict[str, FittedModel] | None:
+    """The models without an effect of a joint: of one that acts on several joints, wherever it is claimed.
+
+    None where a joint cannot be fitted without it.
+    """
+    found, lacks = dict(models), what(effect, models[name].system)
+    for joint, model in models.items():
+        for one in model.effects:
+            if what(one, model.system) == lacks:
+                rest = _rest(robot.answers[joint], found[joint], one)
+                if rest is None:
+                    return None
+                found[joint] = rest
+    return found
+
+
+def _rest(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
+    """A joint's model less one of its effects, as the search would have it; None where it cannot be fitted."""
+    base = answer.searched.base
+    if len(model.effects) == 1:
+        return base
+    return refitted_without(answer.fits, base, held(model, base), effect)
 
 
 def parts_of_gap(

@@ -63,10 +63,12 @@ _REJECTED = "improbable, of a size that may be zero, or no help beside values of
 _DIFFERS = "nothing; values differ from record to record"
 _HOW = (
     "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
-    "its own motion. What its records cannot distinguish is then compared with all joints simulated, where it is a "
-    "tenth of the robot's gap or more, and what is claimed has to help there. As far as something remains at a joint, "
-    "what is named there may be the image of something else, which lowers its probability. Last, the re-fitted and the "
-    "corrected robot are fitted once more as a whole, driven by commands alone, and the test records measure them."
+    "its own motion. What acts on all joints, as a floor does, and several of them find likely, is judged by all of "
+    "them simulated. What a joint's records cannot distinguish is then compared with all joints simulated, where it is "
+    "a tenth of the robot's gap or more, and what is claimed has to help there. As far as something remains at a "
+    "joint, what is named there may be the image of something else, which lowers its probability. Last, the re-fitted "
+    "and the corrected robot are fitted once more as a whole, driven by commands alone, and the test records measure "
+    "them."
 )
 _PART = (
     "The gap is what the nominal model leaves of the train records after a re-fit of its parameters, beyond noise and "

@@ -1,0 +1,120 @@
+"""What acts on all joints of a robot is judged by all of them, where each by itself leaves it open."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from gapcase import only
+from servo_arm import described, records_of
+
+from hybrid_id import Dataset
+from hybrid_id.components import REGISTRY
+from hybrid_id.components.load.base_tilt import BaseTilt
+from hybrid_id.diagnosis.common_cause import judged_by_all
+from hybrid_id.diagnosis.diagnose import Answer, answered
+from hybrid_id.identification.horizons import WHOLE
+from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
+from hybrid_id.systems.chain import System
+
+pytest.importorskip("mujoco")
+NAMES = "base_tilt", "constant_torque"
+JOINTS = {"lift": 1, "elbow": 2}
+OPEN = 0.4
+Case = tuple[Dataset, System, dict[str, Answer]]
+
+
+def answers_of(dataset: Dataset, nominal: System) -> dict[str, Answer]:
+    """What the joints say by themselves, as a few records less could have left it: all is as likely, none asserted."""
+    found = {}
+    for name, k in JOINTS.items():
+        records = with_others_measured(moving_records(dataset, k), nominal, k)
+        one = answered(records, alone(nominal, k))[1]
+        effects = tuple(replace(c, selected=False, probability=OPEN) for c in one.grade.effects)
+        found[name] = replace(
+            one,
+            grade=replace(one.grade, effects=effects),
+            found=replace(one.found, chosen=one.found.base),
+            searched=replace(one.searched, chosen=one.searched.base),
+        )
+    return found
+
+
+@pytest.fixture(autouse=True)
+def both() -> Iterator[None]:
+    with only(*NAMES):
+        yield
+
+
+@pytest.fixture(scope="module")
+def tilted(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    nominal = described(tmp_path_factory.mktemp("tilted"))
+    dataset = records_of(nominal.with_component("joint2/load", BaseTilt(e_x=0.03, e_y=0.1)))
+    with only(*NAMES):
+        return dataset, nominal, answers_of(dataset, nominal)
+
+
+@pytest.fixture(scope="module")
+def pulled(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """Two joints with a torque each, of unlike sign: no tilt is both."""
+    nominal = described(tmp_path_factory.mktemp("pulled"))
+    system = nominal
+    for place, size in (("joint2/load", 0.1), ("joint3/load", -0.05)):
+        system = system.with_component(place, REGISTRY["constant_torque"](T_0=size))
+    dataset = records_of(system)
+    with only(*NAMES):
+        return dataset, nominal, answers_of(dataset, nominal)
+
+
+def test_a_tilt_that_no_joint_asserts_is_asserted_by_all(tilted: Case) -> None:
+    dataset, nominal, answers = tilted
+    found = judged_by_all(dataset, nominal, answers, horizon=WHOLE)
+    for name, k in JOINTS.items():
+        (one,) = (c for c in found[name].grade.effects if c.selected)
+        assert (one.name, one.where) == ("base_tilt", f"joint{k + 1}/load") and one.probability > 0.95
+        # of one size, which is that of all joints: the lift by itself knows it to 0.005 rad
+        assert one.parameters["e_y"][0] == pytest.approx(0.1, abs=0.001)
+        assert found[name].found.chosen.effects == ((one.name, one.where),)
+        table = found[name].found.chosen.system.table
+        assert all(info.spec.prior_std is None for info in table)  # and the answer is held by nothing
+
+
+def test_torques_of_their_own_are_no_tilt(pulled: Case) -> None:
+    dataset, nominal, answers = pulled
+    assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
+
+
+def test_what_one_joint_alone_finds_likely_is_its_own(tilted: Case) -> None:
+    dataset, nominal, answers = tilted
+    elbow = answers["elbow"]
+    effects = tuple(
+        replace(c, probability=0.01 if c.name == "base_tilt" else OPEN) for c in elbow.grade.effects
+    )
+    answers = answers | {"elbow": replace(elbow, grade=replace(elbow.grade, effects=effects))}
+    assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
+
+
+def test_what_all_assert_is_not_asked_again(tilted: Case) -> None:
+    dataset, nominal, answers = tilted
+    sure = {
+        name: replace(
+            one,
+            grade=replace(
+                one.grade,
+                effects=tuple(replace(c, selected=c.name == "base_tilt") for c in one.grade.effects),
+            ),
+        )
+        for name, one in answers.items()
+    }
+    assert judged_by_all(dataset, nominal, sure, horizon=WHOLE) == sure
+
+
+def test_where_no_robot_can_be_fitted_the_joints_keep_their_answers(
+    tilted: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset, nominal, answers = tilted
+
+    def fails(*_: object, **__: object) -> None:
+        raise RuntimeError("diverged")
+
+    monkeypatch.setattr("hybrid_id.diagnosis.whole_robot.kept_fit", fails)
+    assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
