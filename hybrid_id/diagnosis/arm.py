@@ -285,7 +285,7 @@ def diagnose_arm(
         system: the nominal model, of a description.
         joints: names of the joints to diagnose; None for all that move.
         horizon: how long free runs of a joint are; None for what its records ask for.
-        max_effects: effects of a joint at most.
+        max_effects: effects of a joint at most, beside what acts on all joints.
         jobs: processes.
         seed: of the resampling.
         level: confidence of the parameters' intervals.
@@ -456,6 +456,9 @@ def _of_whole_robot(
     refit = model = nominal
     for one in found.values():
         refit, model = with_drive(refit, one.search.base.system), with_drive(model, one.model)
+    shown = (known for one in found.values() for known in one.search.shown.items())
+    free = (i for name, of in shown for s, i in brought(model, *name).items() if s in of.sizes)
+    model = model.with_specs({i.name: replace(i.spec, estimate=True) for i in free})
     moving, now = with_standing_held(dataset, nominal)  # what stands still goes with the records
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
@@ -540,8 +543,8 @@ def common_sizes(
     sizes: dict[tuple[str, str, str, str], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
     for joint, one in found.items():
         for each in one.selected:
-            if (each.name, each.where) in one.search.shown_by_robot:
-                continue  # of one size, by all joints together
+            if (each.name, each.where) in one.search.shown:
+                continue  # of one size, by these joints together
             # what acts on all joints stands in the robot once: each joint has its own estimate
             whole, own = model, {}
             if acts_on_all(each.name):

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
@@ -502,13 +501,6 @@ def _unheld(found: Selection, nominal: System) -> Selection:
 
     def free(model: FittedModel) -> FittedModel:
         system = without_priors(model.system, nominal)
-        held = [
-            info
-            for effect in found.shown_by_robot
-            for info in brought(system, *effect).values()
-            if info.spec.prior_std is not None
-        ]
-        system = system.with_specs({i.name: replace(i.spec, prior_mean=None, prior_std=None) for i in held})
         precision = make_bounds(system, system.estimated).prior_precision.numpy()
         return replace(model, result=replace(model.result, system=system, prior_precision=precision))
 

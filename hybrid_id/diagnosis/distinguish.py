@@ -82,7 +82,7 @@ def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | Non
     Of those that its records accept by themselves: another is none that could stand alone.
     """
     step, equals = tied_step(answer.found, answer.searched.steps)
-    if step is None or step.leader is None or answer.searched.near is not None:
+    if step is None or step.leader is None or step.shown or answer.searched.near is not None:
         return None
     accepted = accepted_ones(step)
     able = [one for one in equals if one in accepted]

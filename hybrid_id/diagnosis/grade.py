@@ -38,8 +38,8 @@ class RatedEffect:
         share: of the gap that it explains where it is added after those before it; None of one that is not selected.
         share_interval: 95 % interval of that; every draw of records chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
-        sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not; or all joints of
-            a robot have shown it.
+        sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not; or joints of a
+            robot together have shown it.
         others: probability that it is one of those it is indistinguishable from, by the step that has compared them.
     """
 
@@ -153,8 +153,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         added_effect(b, a): ((a.error - b.error) / gap, _interval(draws[:, k]), bool(chance[k] > 0.0))
         for k, (a, b) in enumerate(pairwise(models))
     }
-    shown = found.shown_by_robot
-    shares |= {name: (*shares[name][:2], True) for name in shown if name in shares}
+    shares |= {name: (*shares[name][:2], True) for name in found.shown if name in shares}
     rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
@@ -360,7 +359,9 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
         ties = [rival for rival in alike if rival != name]
         best[name] = RatedEffect(
             name[0], name[1], odds[name], name in chosen, tuple("@".join(rival) for rival in ties),
-            parameters_of(found.chosen if name in chosen else model, name),
+            dict(step.shown.sizes)
+            if step.shown is not None and model is step.leader
+            else parameters_of(found.chosen if name in chosen else model, name),
             others=sum(odds[rival] for rival in ties),
         )  # fmt: skip
     # what the selected ones have made needless is no more probable than that these are wrong
@@ -416,7 +417,7 @@ def _probabilities(step: SelectionStep) -> np.ndarray:
     known = chances(step)
     present = {one: chance_of_presence(one, step.before, p) for one, p in known.items()}
     passing = [one for one, p in known.items() if passes(one, step.before, p)]
-    sure = present.get(best, 0.0) if step.shown is None else step.shown
+    sure = present.get(best, 0.0) if step.shown is None else step.shown.probability
     for k, one in enumerate(step.candidates):
         if step.odds:
             logs[k] = step.odds[k]

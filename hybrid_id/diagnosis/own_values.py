@@ -179,7 +179,12 @@ def borne_out(
         for effect in reversed(claimed):
             models = without_effect(robot, chosen, name, effect) if effect in chosen[name].effects else None
             bare = None if models is None else _own_values(robot, models)
-            if models is None or bare is None or now is None or helps(now, bare, robot.key(name)):
+            if models is None or bare is None or now is None:
+                continue
+            # what acts on all joints stands by the one that it helps
+            if any(
+                helps(now, bare, robot.key(joint)) for joint in models if models[joint] is not chosen[joint]
+            ):
                 continue
             chosen[name] = models[name]
             now = bare if models == chosen else _own_values(robot, chosen)

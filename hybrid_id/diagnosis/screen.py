@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,19 @@ FURTHER = 8e-3
 Progress = Callable[[str, int, int], object]
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What joints of a robot together say of an effect that acts on all of them.
+
+    Attributes:
+        probability: that it is at work.
+        sizes: estimate and standard error of each parameter that it brings, by symbol.
+    """
+
+    probability: float
+    sizes: Mapping[str, tuple[float, float]]
+
+
 @dataclass(frozen=True, eq=False)
 class SelectionStep:
     """One selection step: what was there before, and every candidate that was added to it, best first.
@@ -42,14 +55,14 @@ class SelectionStep:
         swap: whether an effect and its rivals are compared once more, beside those that were found after it.
         odds: logarithm of the odds of each candidate against the best, where other records than the models' own have
             compared them: those of a whole robot; empty elsewhere.
-        shown: probability that the first one's effect is at work, where all joints of a robot have judged it.
+        shown: what joints of a robot together say of the first one's effect; None elsewhere.
     """
 
     before: FittedModel
     candidates: tuple[FittedModel, ...]
     swap: bool = False
     odds: tuple[float, ...] = ()
-    shown: float | None = None
+    shown: Shown | None = None
 
     @property
     def leader(self) -> FittedModel | None:

@@ -23,6 +23,7 @@ from hybrid_id.diagnosis.screen import (
     HOPELESS,
     Progress,
     SelectionStep,
+    Shown,
     needed_fall,
     promising,
     selection_step,
@@ -69,10 +70,10 @@ class Selection:
         return self.steps if self.near is None else (*self.near.steps, *self.steps[1:])
 
     @property
-    def shown_by_robot(self) -> frozenset[Name]:
-        """The effects that all joints of a robot have shown to be at work."""
-        leaders = ((step.leader, step.before) for step in self.steps if step.shown is not None)
-        return frozenset(added_effect(one, before) for one, before in leaders if one is not None)
+    def shown(self) -> dict[Name, Shown]:
+        """What joints of a robot together say of effects that act on all of them."""
+        steps = ((step.shown, step.leader, step.before) for step in self.steps)
+        return {added_effect(one, before): shown for shown, one, before in steps if shown and one is not None}
 
     @property
     def fitted(self) -> dict[str, FittedModel]:

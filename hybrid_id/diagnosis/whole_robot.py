@@ -136,14 +136,14 @@ def without_effect(
     for joint, model in models.items():
         for one in model.effects:
             if what(one, model.system) == lacks:
-                rest = _rest(robot.answers[joint], found[joint], one)
+                rest = less(robot.answers[joint], found[joint], one)
                 if rest is None:
                     return None
                 found[joint] = rest
     return found
 
 
-def _rest(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
+def less(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
     """A joint's model less one of its effects, as the search would have it; None where it cannot be fitted."""
     base = answer.searched.base
     if len(model.effects) == 1:

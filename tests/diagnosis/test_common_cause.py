@@ -12,6 +12,7 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.diagnosis.common_cause import judged_by_all
 from hybrid_id.diagnosis.diagnose import Answer, answered
+from hybrid_id.diagnosis.model import added_effect
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
 from hybrid_id.systems.chain import System
@@ -86,10 +87,10 @@ def test_torques_of_their_own_are_no_tilt(pulled: Case) -> None:
 def test_what_one_joint_alone_finds_likely_is_its_own(tilted: Case) -> None:
     dataset, nominal, answers = tilted
     elbow = answers["elbow"]
-    effects = tuple(
-        replace(c, probability=0.01 if c.name == "base_tilt" else OPEN) for c in elbow.grade.effects
-    )
-    answers = answers | {"elbow": replace(elbow, grade=replace(elbow.grade, effects=effects))}
+    step = elbow.found.steps[0]
+    unlikely = tuple(-20.0 * (added_effect(one, step.before)[0] == "base_tilt") for one in step.candidates)
+    turned = replace(elbow.found, steps=(replace(step, odds=unlikely),))
+    answers = answers | {"elbow": replace(elbow, found=turned)}
     assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
 
 
