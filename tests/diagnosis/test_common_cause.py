@@ -79,6 +79,24 @@ def test_a_tilt_that_no_joint_asserts_is_asserted_by_all(tilted: Case) -> None:
         assert all(info.spec.prior_std is None for info in table)  # and the answer is held by nothing
 
 
+def test_validation_records_judge_it_too(tilted: Case) -> None:
+    """A joint's answer is of all records, and candidates are judged by these alone."""
+    dataset, nominal, _ = tilted
+    records = [replace(r, role="validation") if k == 0 else r for k, r in enumerate(dataset.records)]
+    dataset = replace(dataset, records=tuple(records))
+    found = judged_by_all(dataset, nominal, answers_of(dataset, nominal), horizon=WHOLE)
+    assert all([c.name for c in found[name].grade.effects if c.selected] == ["base_tilt"] for name in JOINTS)
+
+
+def test_an_image_of_it_that_a_joint_asserts_gives_way(tilted: Case) -> None:
+    dataset, nominal, answers = tilted
+    lift = answers["lift"]
+    image = next(e for e in lift.found.steps[0].candidates if e.effects[0][0] == "constant_torque")
+    asserted = replace(lift, found=replace(lift.found, chosen=image))
+    found = judged_by_all(dataset, nominal, answers | {"lift": asserted}, horizon=WHOLE)
+    assert [name for name, _ in found["lift"].found.chosen.effects] == ["base_tilt"]
+
+
 def test_torques_of_their_own_are_no_tilt(pulled: Case) -> None:
     dataset, nominal, answers = pulled
     assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
