@@ -17,7 +17,7 @@ from hybrid_id.components.base import Component
 from hybrid_id.components.transmission.kinematic_error import WAVES
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect, with_effect, with_further
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.grade import _parameters
+from hybrid_id.diagnosis.grade import parameters_of
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.periodic import (
     Residual,
@@ -168,7 +168,7 @@ def test_periods_that_are_fixed_are_told() -> None:
     system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
     fit = finite_difference_fit(system, left.batch, engine=left.result.engine, iterations=8)
     name = ("cogging", "joint1/motor")
-    told = _parameters(FittedModel((name,), fit, validation(fit.residual, 0.005, fit.records)), name)
+    told = parameters_of(FittedModel((name,), fit, validation(fit.residual, 0.005, fit.records)), name)
     assert set(told) == {"T_c", "T_s", "n"}
     assert told["n"] == (1.0, 0.0)
     assert told["T_c"][1] > 0.0
