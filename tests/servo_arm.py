@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id import Dataset
+from hybrid_id.diagnosis.diagnose import Answer, answered
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model
 
@@ -53,3 +55,9 @@ def records_of(system: System, count: int = 4) -> Dataset:
     return Dataset(
         "arm", goals, tuple(Channel(f"q_m{j}", "rad", NOISE) for j in JOINTS), tuple(records), STEP
     )
+
+
+def of_joint(dataset: Dataset, nominal: System, joint: int) -> Answer:
+    """What a joint, by its number from 0, says by itself."""
+    records = with_others_measured(moving_records(dataset, joint), nominal, joint)
+    return answered(records, alone(nominal, joint))[1]

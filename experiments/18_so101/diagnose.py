@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import so101
 import torch
+from halves import diagnosed
 from run import batch_of, errors
 from scipy.stats import t as student
 
-from hybrid_id import diagnose_arm
-from hybrid_id.identification.keep import Kept
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
@@ -64,16 +61,9 @@ def main() -> None:
             models["CMA-ES"] = load_model(file)
         compare(wish.open, models, so101.load(wish.data, wish.open)[wish.open])
         return
-    fits = wish.out / "fits"
-    fits.mkdir(parents=True, exist_ok=True)
-    data, began = so101.load(wish.data, "train")["train"], time.process_time()
-    found = diagnose_arm(data, model(wish.chosen), kept=Kept(fits, "so101"))
-    content = found.as_dict() | {"seconds": time.process_time() - began}
-    (wish.out / "diagnosis.json").write_text(json.dumps(content))
+    data = so101.load(wish.data, "train")["train"]
+    found = diagnosed(data, model(wish.chosen), wish.out, "diagnosis.json")
     save_model(found.model, wish.out / "model.yaml")
-    for joint, one in found.joints.items():
-        print(f"{joint}: {one.summary()}\n")
-    print(f"{content['seconds']:.0f} s of processor time")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,10 @@ import torch
 from sets import CARRIES_NOTHING, CLIPPED, TABLE
 
 from hybrid_id import diagnose_arm
+from hybrid_id.diagnosis.arm import ArmDiagnosis
 from hybrid_id.identification.keep import Kept
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.provenance import program
 from hybrid_id.systems.chain import System
 
 
@@ -33,8 +36,28 @@ def nominal(folder: Path, *, table: bool = True) -> System:
     )
 
 
+def diagnosed(motions: Dataset, system: System, out: Path, file: str) -> ArmDiagnosis:
+    """The arm diagnosed by some motions, which writes a file into a folder; fits that are there stay.
+
+    Args:
+        motions: the train motions.
+        system: the nominal model.
+        out: the folder.
+        file: name of the file of the answer.
+    """
+    fits, began = out / "fits", time.process_time()
+    fits.mkdir(parents=True, exist_ok=True)
+    found = diagnose_arm(motions, system, kept=Kept(fits, program()))
+    seconds = time.process_time() - began
+    (out / file).write_text(json.dumps(found.as_dict() | {"seconds": seconds}))
+    for joint, one in found.joints.items():
+        print(f"{joint}: {one.summary()}\n")
+    print(f"{seconds:.0f} s of processor time", flush=True)
+    return found
+
+
 def main() -> None:
-    """Diagnose the arm by the motions of one half; fits that are there stay, so that it can be stopped."""
+    """Diagnose the arm by the motions of one half."""
     ask = argparse.ArgumentParser(description=__doc__)
     ask.add_argument("--data", type=Path, required=True)
     ask.add_argument("--out", type=Path, default=Path("runs/so101_diagnosis"))
@@ -42,18 +65,9 @@ def main() -> None:
     ask.add_argument("half", type=int, choices=(0, 1))
     wish = ask.parse_args()
     torch.set_num_threads(1)
-    fits = wish.out / "fits"
-    fits.mkdir(parents=True, exist_ok=True)
     motions = so101.load(wish.data, "train")["train"]
     motions = replace(motions, records=motions.records[wish.half :: 2])
-    began = time.process_time()
-    found = diagnose_arm(motions, nominal(wish.data, table=wish.table), kept=Kept(fits, "so101"))
-    seconds = time.process_time() - began
-    content = found.as_dict() | {"seconds": seconds}
-    (wish.out / f"half_{wish.half}.json").write_text(json.dumps(content))
-    for joint, one in found.joints.items():
-        print(f"{joint}: {one.summary()}\n")
-    print(f"half {wish.half}, {seconds:.0f} s of processor time", flush=True)
+    diagnosed(motions, nominal(wish.data, table=wish.table), wish.out, f"half_{wish.half}.json")
 
 
 if __name__ == "__main__":

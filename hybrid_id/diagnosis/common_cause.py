@@ -26,6 +26,7 @@ from hybrid_id.diagnosis.select import chance, passes
 from hybrid_id.diagnosis.starts import swapped
 from hybrid_id.diagnosis.whole_robot import (
     UNFITTED,
+    What,
     WholeRobot,
     acts_on_all,
     fitted,
@@ -43,8 +44,6 @@ from hybrid_id.systems.chain import System
 
 AS_LIKELY = 0.5
 """Probability of an effect, over that of the likeliest in its place, from which a joint finds it likely."""
-What = tuple[str, str]
-"""An effect that acts on all joints: its name, and where on the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,24 +173,14 @@ def _judged(
     fits = Fits(robot.records, jobs=jobs, signal_share=robot.signal_share, kept=robot.kept)
     fits = fits.over(robot.horizon)
     plain = _to_the_end(fits, robot, [_task(robot, rests)])
-    own = {name: one for name in each if (one := _with(rests[name], each[name], each[name].model))}
+    own = _each_with(rests, each, {name: witness.model for name, witness in each.items()})
     if plain is None or not own:
         return None
     fits.weights = plain.validation.even_weights()
     plain = replace(plain, validation=plain.validation.weighted(fits.weights))
-    first, start = next(iter(own.items()))
-    task = _task(robot, {**rests, first: start})
-    # listed at one joint, so that there is one program, and tried from what each of the witnesses says
-    infos = brought(task.system, *each[first].effect)
-    sizes = [{s: i.spec for s, i in brought(one.system, *each[n].effect).items()} for n, one in own.items()]
-    starts = [
-        replace(task, system=task.system.with_specs({infos[s].name: spec for s, spec in one.items()}))
-        for one in sizes
-    ]
-    richer = _to_the_end(fits, robot, starts)
-    others = {
-        name: one for name in each if (one := _with(rests[name], each[name], each[name].rival)) is not None
-    }
+    first = next(iter(own))
+    richer = _to_the_end(fits, robot, _starts(robot, rests, each, own))
+    others = _each_with(rests, each, {name: witness.rival for name, witness in each.items()})
     several = _to_the_end(fits, robot, [_task(robot, {**rests, **others})]) if others else None
     if richer is None or (others and several is None):
         return None
@@ -204,6 +193,37 @@ def _judged(
     ends = parameters_of(richer, each[first].effect)
     specs = {s: i.spec for s, i in brought(richer.system, *each[first].effect).items() if s in ends}
     return Judged(Shown(sure, ends), specs, odds)
+
+
+def _starts(
+    robot: WholeRobot,
+    rests: Mapping[str, FittedModel],
+    each: Mapping[str, Witness],
+    own: Mapping[str, FittedModel],
+) -> list[Task]:
+    """Fits with the effect, of the size that each witness has found.
+
+    It is listed at the first of them, so that there is one program.
+    """
+    sizes = {
+        name: {symbol: info.spec for symbol, info in brought(one.system, *each[name].effect).items()}
+        for name, one in own.items()
+    }
+    first = next(iter(own))
+    task = _task(robot, {**rests, first: own[first]})
+    infos = brought(task.system, *each[first].effect)
+    specs = ({infos[symbol].name: spec for symbol, spec in size.items()} for size in sizes.values())
+    return [replace(task, system=task.system.with_specs(one)) for one in specs]
+
+
+def _each_with(
+    rests: Mapping[str, FittedModel],
+    each: Mapping[str, Witness],
+    candidates: Mapping[str, FittedModel | None],
+) -> dict[str, FittedModel]:
+    """The witnesses' models with what a candidate of each has, where that can stand."""
+    found = {name: _with(rests[name], each[name], one) for name, one in candidates.items()}
+    return {name: one for name, one in found.items() if one is not None}
 
 
 def _with(rest: FittedModel, witness: Witness, one: FittedModel | None) -> FittedModel | None:

@@ -357,11 +357,10 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     for name, (step, model, odds) in last_words(found).items():
         alike = (added_effect(e, step.before) for e in indistinguishable(model, step))
         ties = [rival for rival in alike if rival != name]
+        sizes = dict(step.shown.sizes) if step.shown is not None and model is step.leader else {}
         best[name] = RatedEffect(
             name[0], name[1], odds[name], name in chosen, tuple("@".join(rival) for rival in ties),
-            dict(step.shown.sizes)
-            if step.shown is not None and model is step.leader
-            else parameters_of(found.chosen if name in chosen else model, name),
+            sizes or parameters_of(found.chosen if name in chosen else model, name),
             others=sum(odds[rival] for rival in ties),
         )  # fmt: skip
     # what the selected ones have made needless is no more probable than that these are wrong

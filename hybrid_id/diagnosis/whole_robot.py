@@ -30,6 +30,8 @@ from hybrid_id.systems.chain import System
 
 UNFITTED = InputError, RuntimeError, np.linalg.LinAlgError
 """What :func:`train_rows` and :func:`fitted` raise where a robot cannot be fitted."""
+What = tuple[str, str]
+"""An effect by its name and its place, or, where it acts on all joints, its point on the robot, if it has one."""
 
 
 class WholeRobot:
@@ -117,12 +119,12 @@ def acts_on_all(effect: str) -> bool:
     return any(issubclass(law, Shared) for law in CATALOGUE[effect].laws)
 
 
-def what(effect: Name, system: System) -> tuple[str, str]:
-    """Which effect a model has, wherever it is listed if it acts on all joints: its name, and where on the robot."""
+def what(effect: Name, system: System) -> What:
+    """Which effect a model has, wherever it is listed if it acts on all joints."""
     if not acts_on_all(effect[0]):
         return effect
     parts = (part_of(system, effect[1], kind) for kind in CATALOGUE[effect[0]].kinds)
-    return effect[0], next((point for part in parts if (point := getattr(part, "point", ""))), "")
+    return effect[0], next((part.point for part in parts if isinstance(part, Shared)), "")
 
 
 def without_effect(

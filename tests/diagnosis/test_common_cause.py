@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import pytest
 from gapcase import only
-from servo_arm import described, records_of
+from servo_arm import described, of_joint, records_of
 
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.diagnosis.common_cause import judged_by_all
-from hybrid_id.diagnosis.diagnose import Answer, answered
+from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.model import added_effect
 from hybrid_id.identification.horizons import WHOLE
-from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
 from hybrid_id.systems.chain import System
 
 pytest.importorskip("mujoco")
@@ -28,8 +27,7 @@ def answers_of(dataset: Dataset, nominal: System) -> dict[str, Answer]:
     """What the joints say by themselves, as a few records less could have left it: all is as likely, none asserted."""
     found = {}
     for name, k in JOINTS.items():
-        records = with_others_measured(moving_records(dataset, k), nominal, k)
-        one = answered(records, alone(nominal, k))[1]
+        one = of_joint(dataset, nominal, k)
         effects = tuple(replace(c, selected=False, probability=OPEN) for c in one.grade.effects)
         found[name] = replace(
             one,

@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from gapcase import only
-from servo_arm import described, records_of
+from servo_arm import described, of_joint, records_of
 
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY, Component
-from hybrid_id.diagnosis.diagnose import Answer, answered
+from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.distinguish import _compared, distinguished
 from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_step
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.validation import Validation
 from hybrid_id.identification.horizons import WHOLE
-from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
 from hybrid_id.systems.chain import System
 
 pytest.importorskip("mujoco")
@@ -40,12 +39,6 @@ def nominal(tmp_path: Path) -> System:
 def both() -> Iterator[None]:
     with only("encoder_zero", "constant_torque"):
         yield
-
-
-def of_joint(dataset: Dataset, nominal: System, joint: int) -> Answer:
-    return answered(
-        with_others_measured(moving_records(dataset, joint), nominal, joint), alone(nominal, joint)
-    )[1]
 
 
 @pytest.fixture(scope="module")
