@@ -28,7 +28,7 @@ from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.whole_robot import acts_on_all, common_horizon, parts_of_gap
+from hybrid_id.diagnosis.whole_robot import acts_on_all, brought_to, common_horizon, parts_of_gap
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE, Horizon
@@ -156,7 +156,7 @@ class ArmDiagnosis:
         part, (least, most) = self.parts[joint], self.part_bounds[joint]
         where, sizes = self._placed(one.where, joint), one.parameters
         if one.selected:
-            infos = brought(self.model, one.name, one.where)
+            infos = brought_to(self.model, (one.name, one.where), self.joints[joint].model)
             sizes = {s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()}
         return replace(
             one,

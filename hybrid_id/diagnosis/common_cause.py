@@ -234,9 +234,9 @@ def _with(rest: FittedModel, witness: Witness, one: FittedModel | None) -> Fitte
 
 
 def _task(robot: WholeRobot, models: Mapping[str, FittedModel]) -> Task:
-    """A fit of the witnesses together that begins with these models of theirs."""
+    """A fit of the witnesses together that begins with these models of theirs, held by no priors of their searches."""
     effects = {effect for one in models.values() for effect in one.effects}
-    return Task(tuple(sorted(effects)), robot.system(models, held=True))
+    return Task(tuple(sorted(effects)), robot.system(models))
 
 
 def _to_the_end(fits: Fits, robot: WholeRobot, tasks: Sequence[Task]) -> FittedModel | None:

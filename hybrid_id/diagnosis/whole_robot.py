@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid_id.components.base import Shared
-from hybrid_id.diagnosis.catalogue import CATALOGUE, part_of
+from hybrid_id.diagnosis.catalogue import CATALOGUE, brought, part_of
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.errors_on_test import errors
@@ -21,6 +21,7 @@ from hybrid_id.identification.horizons import Horizon, shortest
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
+from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import sensor_noise
 from hybrid_id.simulation.batch import Batch
@@ -125,6 +126,21 @@ def what(effect: Name, system: System) -> What:
         return effect
     parts = (part_of(system, effect[1], kind) for kind in CATALOGUE[effect[0]].kinds)
     return effect[0], next((part.point for part in parts if isinstance(part, Shared)), "")
+
+
+def brought_to(robot: System, effect: Name, own: System) -> dict[str, ParameterInfo]:
+    """Rows of a robot's table of what an effect of a joint brings, by symbol; of one of all joints, wherever listed.
+
+    Args:
+        robot: which has the joint's effects.
+        effect: its name and its place.
+        own: the joint by itself, with the effect.
+    """
+    places = [effect[1]]
+    if acts_on_all(effect[0]):
+        places += sorted({key.rpartition("/")[0] for key in robot.components})
+    there = (place for place in places if what((effect[0], place), robot) == what(effect, own))
+    return next((rows for place in there if (rows := brought(robot, effect[0], place))), {})
 
 
 def without_effect(

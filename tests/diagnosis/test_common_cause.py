@@ -13,7 +13,9 @@ from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.diagnosis.common_cause import judged_by_all
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.model import added_effect
+from hybrid_id.diagnosis.whole_robot import brought_to
 from hybrid_id.identification.horizons import WHOLE
+from hybrid_id.systems.by_joint import alone
 from hybrid_id.systems.chain import System
 
 pytest.importorskip("mujoco")
@@ -123,6 +125,15 @@ def test_what_all_assert_is_not_asked_again(tilted: Case) -> None:
         for name, one in answers.items()
     }
     assert judged_by_all(dataset, nominal, sure, horizon=WHOLE) == sure
+
+
+def test_the_joint_that_does_not_list_it_shows_the_size_of_the_robot(tilted: Case) -> None:
+    _, nominal, answers = tilted
+    robot = nominal.with_component("joint2/load", BaseTilt(e_x=0.03, e_y=0.1))
+    elbow = alone(nominal, JOINTS["elbow"]).with_component("joint3/load", BaseTilt())
+    rows = brought_to(robot, ("base_tilt", "joint3/load"), elbow)
+    assert {symbol: info.spec.value for symbol, info in rows.items()} == {"e_x": 0.03, "e_y": 0.1}
+    assert not brought_to(robot, ("constant_torque", "joint3/load"), answers["elbow"].found.chosen.system)
 
 
 def test_where_no_robot_can_be_fitted_the_joints_keep_their_answers(
