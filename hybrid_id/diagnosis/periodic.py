@@ -6,7 +6,7 @@ A sine that starts with the wrong period, or a spot at the wrong angle, is in an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,6 +39,9 @@ SPOTS = 24
 """Places of a tight spot over the joint's range."""
 WIDTHS = (0.03, 0.07, 0.15)
 """Its half widths, as shares of the range."""
+
+Shape = Callable[[int, Response], Tensor]
+"""A torque by its number within the windows of a response, ``(W, L, m)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +80,11 @@ def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...
     least = least_periods(max(float(phase.max() - phase.min()), 1e-3))
     slow = _between(max(1.0, least), float(PERIODS[0]), phase)
     periods = [*slow, *(float(n) for n in PERIODS if n >= least)]
-    found = _strongest(opened, [_waves(n * phase) for n in periods]) if periods else []
+
+    def shape(i: int, of: Response) -> Tensor:
+        return _waves(periods[i] * of.within(phase))
+
+    found = _strongest(opened, len(periods), shape) if periods else []
     return [(periods[i], *size) for i, size in _peaks(found)]
 
 
@@ -110,7 +117,11 @@ def friction_waves(left: Residual, joint: int, place: str) -> list[tuple[float, 
     reach = float(angle.max() - angle.min())
     # half a wave over the range is distinguished from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
-    found = _strongest(opened, [rub[..., None] * _waves(n * angle) for n in steps])
+
+    def shape(i: int, of: Response) -> Tensor:
+        return of.within(rub)[..., None] * _waves(steps[i] * of.within(angle))
+
+    found = _strongest(opened, len(steps), shape)
     return [(float(steps[i]), *size) for i, size in _peaks(found)[:2]]
 
 
@@ -125,7 +136,12 @@ def friction_spots(left: Residual, joint: int, place: str) -> list[tuple[float, 
     opened, angle, rub = _rubbing(left, joint, place)
     low, high = float(angle.min()), float(angle.max())
     spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS).tolist()]
-    found = _strongest(opened, [(rub * torch.exp(-(((angle - q) / w) ** 2)))[..., None] for q, w in spots])
+
+    def shape(i: int, of: Response) -> Tensor:
+        q, w = spots[i]
+        return (of.within(rub) * torch.exp(-(((of.within(angle) - q) / w) ** 2)))[..., None]
+
+    found = _strongest(opened, len(spots), shape)
     return [(*spots[i], *size) for i, size in found[:2]]
 
 
@@ -144,24 +160,32 @@ def gear_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]
     system = left.result.system
     part = system.joint(joint)
     opened = left.opened(joint, "motor")
-    q, v = (left.batch.x[..., opened.row + k, None] for k in range(2))
+    q, v = (left.batch.x[..., opened.row + k] for k in range(2))
     a = torch.gradient(v, dim=1)[0] / left.batch.sample_time
     views = {key: c.view() for key, c in system.components.items() if isinstance(c, Component)}
     key, inertia = part.inertia
     pull = float(inertia.behind_gear(views[key], part.gear_ratio).detach()) / part.gear_ratio
     stiffness = None if part.rigid else _stiffness(part, left.batch.x, views)
-    at_rotor, at_link, periods = [], [], _between(*GEAR_PERIODS, q)
-    for n in periods:
-        error = _waves(n * q[..., 0])
-        slope = n * torch.stack([-error[..., 1], error[..., 0]], -1)
+    periods = _between(*GEAR_PERIODS, q)
+
+    def error_of(i: int, of: Response) -> tuple[Tensor, Tensor]:
+        error = _waves(periods[i] * of.within(q))
+        return error, periods[i] * torch.stack([-error[..., 1], error[..., 0]], -1)
+
+    def at_link(i: int, of: Response) -> Tensor:
+        assert stiffness is not None
+        (error, slope), (k, d) = error_of(i, of), stiffness
+        return of.within(k)[..., None] * error + (of.within(d) * of.within(v))[..., None] * slope
+
+    def at_rotor(i: int, of: Response) -> Tensor:
+        error, slope = error_of(i, of)
+        pushed = pull * slope * of.within(a)[..., None]
         if stiffness is None:
-            at_rotor.append(-pull * (2.0 * slope * a - n**2 * error * v.square()))
-        else:
-            k, d = stiffness
-            at_link.append(k[..., None] * error + d[..., None] * slope * v)
-            at_rotor.append(-at_link[-1] / part.gear_ratio - pull * slope * a)
+            return -2.0 * pushed + pull * periods[i] ** 2 * error * of.within(v).square()[..., None]
+        return -at_link(i, of) / part.gear_ratio - pushed
+
     beside = None if part.rigid else (left.opened(joint, "load"), at_link)
-    return [(periods[i], *size) for i, size in _peaks(_strongest(opened, at_rotor, beside))]
+    return [(periods[i], *size) for i, size in _peaks(_strongest(opened, len(periods), at_rotor, beside))]
 
 
 def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:
@@ -187,25 +211,25 @@ def _waves(phase: Tensor) -> Tensor:
 
 
 def _strongest(
-    opened: Response, shapes: Sequence[Tensor], beside: tuple[Response, Sequence[Tensor]] | None = None
+    opened: Response, count: int, shape: Shape, beside: tuple[Response, Shape] | None = None
 ) -> list[tuple[int, tuple[float, ...]]]:
-    """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters.
+    """Number and coefficients of the shapes that leave least beside the model's own parameters.
 
     Each acts with its twin at another side of the joint, where ``beside`` holds these. Of very many shapes a part of
     the windows says which are worth all of them.
     """
-    numbers = list(range(len(shapes)))
-    if len(shapes) > SHORTLIST * THINNED:
+    numbers = list(range(count))
+    if count > SHORTLIST * THINNED:
         twin = None if beside is None else (beside[0].thinned(THINNED), beside[1])
-        numbers = sorted(i for i, _ in _ranked(opened.thinned(THINNED), numbers, shapes, twin)[:SHORTLIST])
-    return _ranked(opened, numbers, shapes, beside)
+        numbers = sorted(i for i, _ in _ranked(opened.thinned(THINNED), numbers, shape, twin)[:SHORTLIST])
+    return _ranked(opened, numbers, shape, beside)
 
 
 def _ranked(
     opened: Response,
     numbers: Sequence[int],
-    shapes: Sequence[Tensor],
-    beside: tuple[Response, Sequence[Tensor]] | None,
+    shape: Shape,
+    beside: tuple[Response, Shape] | None,
 ) -> list[tuple[int, tuple[float, ...]]]:
     """Some of the shapes by what they leave, least first; all have the same number of columns.
 
@@ -217,9 +241,10 @@ def _ranked(
     found = []
     for first in range(0, len(numbers), TOGETHER):
         some = numbers[first : first + TOGETHER]
-        moved = opened.response(*(shapes[i] for i in some))
+        moved = opened.chained(torch.cat([shape(i, opened) for i in some], -1))
         if beside is not None:
-            moved = moved + beside[0].response(*(beside[1][i] for i in some))
+            other, twin = beside
+            moved = moved + other.chained(torch.cat([twin(i, other) for i in some], -1))
         found.append(_gains(left, basis, moved.flatten(0, 1).numpy(), len(some)))
     gain, size = (np.concatenate(part) for part in zip(*found, strict=True))
     return [(numbers[k], tuple(size[k].tolist())) for k in np.argsort(-gain, kind="stable")]

@@ -76,12 +76,12 @@ class Response:
         )
         return replace(self, lin=lin, **some)
 
-    def response(self, *waves: Tensor) -> Tensor:
-        """Weighted response of the windows' outputs to torques [N m], each ``(R, T, m)``: ``(W, L n_y, sum of m)``."""
-        return self._chained(torch.cat([one[self.record[:, None], self.index] for one in waves], -1))
+    def within(self, signal: Tensor) -> Tensor:
+        """What a signal of the records ``(R, T, ...)`` is within the windows, ``(W, L, ...)``."""
+        return signal[self.record[:, None], self.index]
 
-    def _chained(self, waves: Tensor) -> Tensor:
-        """The same of torques within each window, ``(W, L, m)``."""
+    def chained(self, waves: Tensor) -> Tensor:
+        """Weighted response of the windows' outputs to torques [N m] within them, ``(W, L, m)``: ``(W, L n_y, m)``."""
         through = self.lin.c * self.weight[..., None]
         found = forced(through, self.lin.a, self.lin.b[..., 0], waves).flatten(1, 2)
         return torch.baddbmm(found, self.start, self.start.transpose(1, 2) @ found, alpha=-1.0)
@@ -98,7 +98,7 @@ class Response:
         length = self.index.shape[1]
         count = max(2, round(length * self.batch.sample_time / knot))
         waves = bumps(torch.linspace(0.0, 1.0, length, dtype=self.x.dtype), count, 0.0, 1.0)
-        columns = self._chained(waves.expand(len(self.record), length, count))
+        columns = self.chained(waves.expand(len(self.record), length, count))
         columns = columns / columns.square().sum((0, 1)).sqrt().max().clamp_min(1e-300)
         squares = columns.transpose(1, 2) @ columns
         ridge = FREE_RIDGE * squares.diagonal(dim1=1, dim2=2).mean().clamp_min(1e-300)
@@ -119,7 +119,7 @@ class Response:
         Args:
             waves: basis functions, ``(R, T, m)``.
         """
-        columns = torch.cat([self.own, self.response(waves)], 2)
+        columns = torch.cat([self.own, self.chained(self.within(waves))], 2)
         size = columns.square().sum((0, 1)).sqrt()
         size = size.where(size > 0, torch.ones_like(size))
         columns, n_own = columns / size, self.own.shape[2]

@@ -21,6 +21,7 @@ from hybrid_id.diagnosis.periodic import Residual
 from hybrid_id.diagnosis.screen import (
     FINALISTS,
     HOPELESS,
+    SAME,
     Progress,
     SelectionStep,
     Shown,
@@ -209,7 +210,7 @@ def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: Fitte
     """
     if not set(model.effects) < set(best.effects):
         return model
-    again = refitted_without(fits, base, best, added_effect(best, model))
+    again = refitted_without(fits, base, best, added_effect(best, model), known=model)
     return again if again is not None and again.error < model.error else model
 
 
@@ -260,14 +261,23 @@ def chance(richer: FittedModel, simpler: FittedModel, rivals: Collection[FittedM
     return float(p_values([e.validation for e in (richer, *others)], simpler.validation)[0])
 
 
-def refitted_without(fits: Fits, base: FittedModel, richer: FittedModel, name: Name) -> FittedModel | None:
-    """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
+def refitted_without(
+    fits: Fits, base: FittedModel, richer: FittedModel, name: Name, *, known: FittedModel | None = None
+) -> FittedModel | None:
+    """A model less one of its effects, fitted from where it stands; None where that cannot be fitted.
+
+    ``known`` is the best fit of the same model yet, if there is any: what ends there again, or above, is that one.
+    """
     start = without(richer.system, base.system, name)
     rest = tuple(effect for effect in richer.effects if effect != name)
     found = None if start is None else fits.run([Task(rest, start)], FINER)[0]
     if found is None or found.trained > HOPELESS * max(richer.trained, base.trained):
         return found
-    return fits.run([Task(rest, found.system)], FULL)[0]
+    below = math.inf if known is None else (1.0 - SAME) * known.trained
+    if known is not None and below <= found.trained <= known.trained / (1.0 - SAME):
+        return known
+    end = fits.run([Task(rest, found.system, judged_below=below)], FULL)[0]
+    return known if end is None or not end.judged else end
 
 
 def _swaps(
@@ -378,9 +388,10 @@ def _necessary(
     for name in chosen.effects:
         rest = tuple(e for e in chosen.effects if e != name)
         # the others have ended elsewhere than before they had each other: the rest may do better from there
-        known = [e for s in steps for e in (s.before, *s.candidates) if e.effects == rest and e.judged]
-        again = refitted_without(fits, base, chosen, name)
-        simpler = min((e for e in (*known, again) if e is not None), key=lambda e: e.error, default=None)
+        ends = [e for s in steps for e in (s.before, *s.candidates) if e.effects == rest and e.judged]
+        known = min(ends, key=lambda e: e.trained, default=None)
+        again = refitted_without(fits, base, chosen, name, known=known)
+        simpler = min((e for e in (*ends, again) if e is not None), key=lambda e: e.error, default=None)
         if simpler is not None and not accepted(chosen, simpler):
             return simpler
     return chosen

@@ -191,8 +191,8 @@ def _deviation(record: Record, name: str, noise: float, signal_share: float) -> 
 
 def _padded(rows: Sequence[np.ndarray], samples: int, hold: bool = True) -> Tensor:
     """Rows of different length as one tensor; the end repeats the last value (or is 0)."""
-    mode = "edge" if hold else "constant"
-    return torch.tensor(np.stack([np.pad(row, (0, samples - len(row)), mode=mode) for row in rows]))
+    ends = (np.full(samples - len(row), row[-1] if hold else 0.0, row.dtype) for row in rows)
+    return torch.tensor(np.stack([np.concatenate(pair) for pair in zip(rows, ends, strict=True)]))
 
 
 def _noise(record: Record, name: str, noise_std: Mapping[str, float | None] | None) -> float:

@@ -34,7 +34,7 @@ def test_response_equals_a_simulated_torque(rng: np.random.Generator, kind: str,
     wave = np.repeat(rng.standard_normal(SAMPLES // 8), 8) * 0.1
     batch = make_batch(system, [record], noise_std={"q_m1": 1e-3})
     opened = respond(system, engine, batch, 1, side)
-    found = opened.response(torch.tensor(wave)[None, :, None])[0, :, 0]
+    found = opened.chained(opened.within(torch.tensor(wave)[None, :, None]))[0, :, 0]
 
     # a torque on the rotor of a rigid gear is one at the link over the gear ratio, and a load opposes
     loaded = system.with_component("joint1/load", LoggedLoad(c_w=-50.0 if side == "motor" else -1.0))
