@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.identification.windows import SHORTEST
 from hybrid_id.records.dataset import Dataset
@@ -24,17 +25,15 @@ FEWEST = 8 * SHORTEST
 """Samples that the shortest train record keeps at least: two windows of each of the four that it is cut into."""
 CARRIED = 2.0
 """RMS, in noises, of what is left of an output between the samples that stay; its noise alone leaves 1.2."""
-MOVED = 0.03
-"""RMS difference, in noises, of the nominal model's free runs; an effect may move them three times as far, and still by
-less than anything is looked for."""
 
 
 def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE) -> Dataset:
     """A dataset of as few samples as lose nothing, at most 5 ms apart; inputs are averaged over the longer steps.
 
     Nothing is lost where the train records' outputs are had back from the samples that stay, within their noise, and
-    where the nominal model's free runs, at its nominal values, are the same. What looks at another value than the
-    nominal one or has more structure is judged on the thinned records alone, the same for every effect.
+    where the nominal model's free runs, at its nominal values, differ by no more than what counts as nothing missing.
+    What looks at another value than the nominal one or has more structure is judged on the thinned records alone, the
+    same for every effect.
 
     Args:
         dataset: records; those that do not share one sample time stay as they are.
@@ -56,7 +55,10 @@ def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
         left = [
             report.lost for (_, report), record in zip(found, dataset, strict=True) if record.role == "train"
         ]
-        if _carried(whole, left) and _moved(system, one, whole, run, factor, signal_share) <= MOVED:
+        if (
+            _carried(whole, left)
+            and _moved(system, one, whole, run, factor, signal_share) <= CRITERIA.negligible
+        ):
             return one
     return dataset
 
