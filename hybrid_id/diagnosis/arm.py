@@ -28,7 +28,7 @@ from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.whole_robot import acts_on_all, brought_to, common_horizon, parts_of_gap
+from hybrid_id.diagnosis.whole_robot import WholeRobot, acts_on_all, brought_to, common_horizon, parts_of_gap
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE, Horizon
@@ -339,7 +339,7 @@ def diagnose_arm(
     horizon = horizon or common_horizon(answers, signal_share)
     if not stopped:  # who stops waits for no more fits
         try:
-            answers = _checked(dataset, system, answers, horizon, seed, signal_share, progress)
+            answers = _checked(WholeRobot(dataset, system, answers, horizon, signal_share, seed, progress))
         except KeyboardInterrupt:
             stopped = True
     done = _reported(system, found, answers, skews, skipped, seed, level)
@@ -416,22 +416,12 @@ def _reported(
     return done
 
 
-def _checked(
-    dataset: Dataset,
-    system: System,
-    answers: Mapping[str, Answer],
-    horizon: Horizon,
-    seed: int,
-    signal_share: float,
-    progress: Progress | None,
-) -> dict[str, Answer]:
+def _checked(robot: WholeRobot) -> Mapping[str, Answer]:
     """The joints' answers as the whole robot leaves them: what acts on all, ties that it settles, claims that help."""
-    if progress is not None:
-        progress("the whole robot", 0, 1)
-    how: dict[str, Any] = {"horizon": horizon, "seed": seed, "signal_share": signal_share}
-    judged = judged_by_all(dataset, system, answers, progress=progress, **how)
-    settled = distinguished(dataset, system, judged, progress=progress, **how)
-    return borne_out(dataset, system, settled, **how)
+    robot.say("the whole robot", 0, 1)
+    for stage in (judged_by_all, distinguished, borne_out):
+        robot = replace(robot, answers=stage(robot))
+    return robot.answers
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:

@@ -17,11 +17,11 @@ from scipy.special import expit
 
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, frozen_again
+from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.fits import COARSE, FULL, Fits, Task
 from hybrid_id.diagnosis.grade import chance_of_presence, last_words, parameters_of
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
-from hybrid_id.diagnosis.screen import Progress, SelectionStep, Shown, log_odds
+from hybrid_id.diagnosis.screen import SelectionStep, Shown, log_odds
 from hybrid_id.diagnosis.select import chance, passes
 from hybrid_id.diagnosis.starts import swapped
 from hybrid_id.diagnosis.whole_robot import (
@@ -36,11 +36,7 @@ from hybrid_id.diagnosis.whole_robot import (
     what,
     without_effect,
 )
-from hybrid_id.identification.horizons import Horizon
 from hybrid_id.parameters import Bounded
-from hybrid_id.records.dataset import Dataset
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.systems.chain import System
 
 AS_LIKELY = 0.5
 """Probability of an effect, over that of the likeliest in its place, from which a joint finds it likely."""
@@ -80,37 +76,18 @@ class Judged:
     odds: float
 
 
-def judged_by_all(
-    dataset: Dataset,
-    nominal: System,
-    answers: Mapping[str, Answer],
-    *,
-    horizon: Horizon,
-    seed: int = 0,
-    signal_share: float = SIGNAL_SHARE,
-    progress: Progress | None = None,
-) -> dict[str, Answer]:
+def judged_by_all(robot: WholeRobot) -> dict[str, Answer]:
     """The joints' answers, with what acts on all joints where several of them together make it probable.
 
     Asked is what two joints or more find likely and not all of these assert. The others move as they were measured.
-
-    Args:
-        dataset: of the whole robot.
-        nominal: the nominal robot.
-        answers: of the joints by themselves, by name.
-        horizon: how long free runs are.
-        seed: of the resampling.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        progress: called with (stage, done, total).
     """
-    found = dict(answers)
-    for effect, each in _witnesses(answers):
-        if progress is not None:
-            progress("what acts on all joints", 0, 1)
-        robot = WholeRobot(dataset, nominal, {name: found[name] for name in each}, signal_share, horizon)
+    found = dict(robot.answers)
+    for effect, each in _witnesses(robot.answers):
+        robot.say("what acts on all joints", 0, 1)
+        some = replace(robot, answers={name: found[name] for name in each})
         try:
-            rests = _without(robot, effect, each)
-            judged = None if rests is None else _judged(robot, rests, each)
+            rests = _without(some, effect, each)
+            judged = None if rests is None else _judged(some, rests, each)
         except UNFITTED:
             continue
         if rests is None or judged is None:
@@ -120,7 +97,7 @@ def judged_by_all(
             if step is not None:
                 searched = found[name].searched
                 searched = replace(searched, chosen=step.candidates[0], steps=(*searched.steps, step))
-                found[name] = frozen_again(found[name], searched, robot.drives[name], seed=seed)
+                found[name] = some.frozen(name, searched)
     return found
 
 
@@ -147,7 +124,7 @@ def _witnesses(answers: Mapping[str, Answer]) -> list[tuple[What, dict[str, Witn
 def _without(robot: WholeRobot, effect: What, each: Mapping[str, Witness]) -> dict[str, FittedModel] | None:
     """The witnesses' models without the effect, and without what they assert in its place; held as in their searches.
 
-    None where one cannot be fitted.
+    None where one cannot be fitted. A fit of all of them together is not held (:func:`_task`).
     """
     models = {name: robot.answers[name].found.chosen for name in each}
     has = ((name, e) for name, one in models.items() for e in one.effects if what(e, one.system) == effect)
@@ -234,7 +211,11 @@ def _with(rest: FittedModel, witness: Witness, one: FittedModel | None) -> Fitte
 
 
 def _task(robot: WholeRobot, models: Mapping[str, FittedModel]) -> Task:
-    """A fit of the witnesses together that begins with these models of theirs, held by no priors of their searches."""
+    """A fit of the witnesses together that begins with these models of theirs, held by no priors of their searches.
+
+    The priors have kept the drives where they make up for what is missing, and with it they are elsewhere. What free
+    drives take instead of it counts against it.
+    """
     effects = {effect for one in models.values() for effect in one.effects}
     return Task(tuple(sorted(effects)), robot.system(models))
 

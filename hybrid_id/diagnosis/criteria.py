@@ -38,8 +38,8 @@ class Criteria:
             residuals are white noise.
         coloured: the same from which something structural is missing; small random torques and the rounding of
             encoders alone leave less.
-        negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
-            misses.
+        negligible: RMS of weighted errors below which nothing is looked for, and by which thinning the records may move
+            the nominal model's runs; 1 is the noise and what any good model misses.
         lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that shorter
             ones are tried, and
         lost_refit: that of the re-fitted nominal model, of a robot's joint, too.

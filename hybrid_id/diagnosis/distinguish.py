@@ -13,55 +13,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, frozen_again
+from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.grade import tied_step
 from hybrid_id.diagnosis.model import FittedModel, added_effect
-from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds_at
+from hybrid_id.diagnosis.screen import SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
-from hybrid_id.identification.horizons import Horizon, joined
-from hybrid_id.records.dataset import Dataset
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.systems.chain import System
+from hybrid_id.identification.horizons import joined
 
 
-def distinguished(
-    dataset: Dataset,
-    nominal: System,
-    answers: Mapping[str, Answer],
-    *,
-    horizon: Horizon,
-    seed: int = 0,
-    signal_share: float = SIGNAL_SHARE,
-    progress: Progress | None = None,
-) -> dict[str, Answer]:
+def distinguished(robot: WholeRobot) -> dict[str, Answer]:
     """The joints' answers, each with that of its indistinguishable explanations which all joints make most probable.
 
     Of one tie a joint, where it explains a substantial share of the robot's gap: a fit of a whole robot costs as much
     as a joint's search. Joints whose search has gone over short runs and then whole ones keep their ties.
-
-    Args:
-        dataset: of the whole robot.
-        nominal: the nominal robot.
-        answers: of the joints by themselves, by name.
-        horizon: how long free runs are.
-        seed: of the resampling.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        progress: called with (stage, done, total).
     """
+    answers = robot.answers
     found, ties = dict(answers), {name: tie for name, one in answers.items() if (tie := _tie(one))}
     if not ties or len(answers) < 2:
         return found
-    robot = WholeRobot(dataset, nominal, answers, signal_share, horizon)
     each = {
         n: (one.fits.dataset, one.found.base.system, one.grade.beyond_floor) for n, one in answers.items()
     }
-    parts, _ = parts_of_gap(each, robot.horizon, signal_share)
+    parts, _ = parts_of_gap(each, robot.horizon, robot.signal_share)
     large = [name for name, (_, share, _) in ties.items() if parts[name] * share >= CRITERIA.substantial]
     for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
-        if progress is not None:
-            progress("the whole robot", k, len(large) + 1)
+        robot.say("the whole robot", k, len(large) + 1)
         answer, (step, _, equals) = found[name], ties[name]
         chosen = {joint: held(one.found.chosen, one.searched.base) for joint, one in found.items()}
         compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in equals])
@@ -70,7 +48,7 @@ def distinguished(
         first, searched = compared.candidates[0], answer.searched
         now = searched.chosen if first.effects == searched.chosen.effects else first
         searched = replace(searched, chosen=now, steps=(*searched.steps, compared))
-        again = frozen_again(answer, searched, robot.drives[name], seed=seed)
+        again = robot.frozen(name, searched)
         if again.found.chosen.effects == first.effects:
             found[name] = again
     return found

@@ -15,7 +15,7 @@ import torch
 
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, frozen_again
+from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.grade import of_robot
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.per_record import PerRecord, scatter, structural
@@ -139,35 +139,19 @@ def helps(richer: OwnValues, simpler: OwnValues, joint: str) -> bool:
     return richer.mean_square(joint) <= (1.0 - CRITERIA.completing_fall) * simpler.mean_square(joint)
 
 
-def borne_out(
-    dataset: Dataset,
-    nominal: System,
-    answers: Mapping[str, Answer],
-    *,
-    horizon: Horizon,
-    seed: int = 0,
-    signal_share: float = SIGNAL_SHARE,
-) -> dict[str, Answer]:
+def borne_out(robot: WholeRobot) -> dict[str, Answer]:
     """The joints' answers as the whole robot bears them out.
 
     Effects that take nothing of what each record's own values leave are dropped, one at a time, the smallest first.
     Where such values explain what is left, records differ and nothing is missing. Where something is, the probabilities
     of the others are those of a robot that lacks several things. Joints that were not diagnosed move as they were
     measured.
-
-    Args:
-        dataset: of the whole robot.
-        nominal: the nominal robot.
-        answers: of the joints by themselves, by name.
-        horizon: how long free runs are.
-        seed: of the resampling.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
+    answers = robot.answers
     chosen = {name: one.found.chosen for name, one in answers.items()}
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
-    if not unsure or len(dataset.train) < 2:
+    if not unsure or len(robot.dataset.train) < 2:
         return _rated(answers, {})
-    robot = WholeRobot(dataset, nominal, answers, signal_share, horizon)
     # without any effect first: that robot is one program, and often explains most joints
     plain = _own_values(robot, {name: one.searched.base for name, one in answers.items()})
     nothing = [name for name in unsure if plain is not None and plain.nothing_left(robot.key(name))]
@@ -196,7 +180,7 @@ def borne_out(
             own = PerRecord(rest, 0.0, scatter(seen.of_joint(robot.key(name))), True)
         if refuted or own is not None:
             searched = replace(answers[name].searched, chosen=rest, own=own, refuted=tuple(refuted))
-            found[name] = frozen_again(answers[name], searched, robot.drives[name], seed=seed)
+            found[name] = robot.frozen(name, searched)
     return _rated(found, {} if now is None else {name: now.left(robot.key(name)) for name in found})
 
 

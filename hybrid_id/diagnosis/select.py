@@ -266,13 +266,14 @@ def refitted_without(
 ) -> FittedModel | None:
     """A model less one of its effects, fitted from where it stands; None where that cannot be fitted.
 
-    ``known`` is the best fit of the same model yet, if there is any: what ends there again, or above, is that one.
+    ``known``, if there is any, is the judged fit with the same effects that errs least on its own records: it is taken
+    where the new one does not err less there.
     """
     start = without(richer.system, base.system, name)
     rest = tuple(effect for effect in richer.effects if effect != name)
     found = None if start is None else fits.run([Task(rest, start)], FINER)[0]
     if found is None or found.trained > HOPELESS * max(richer.trained, base.trained):
-        return found
+        return known or found
     below = math.inf if known is None else (1.0 - SAME) * known.trained
     if known is not None and below <= found.trained <= known.trained / (1.0 - SAME):
         return known

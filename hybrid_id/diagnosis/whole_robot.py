@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hybrid_id.components.base import Shared
 from hybrid_id.diagnosis.catalogue import CATALOGUE, brought, part_of
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer
+from hybrid_id.diagnosis.diagnose import Answer, frozen_again
 from hybrid_id.diagnosis.errors_on_test import errors
 from hybrid_id.diagnosis.fits import FULL, SLOW, WINDOW, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.model import FittedModel, Name
-from hybrid_id.diagnosis.select import refitted_without
+from hybrid_id.diagnosis.screen import Progress
+from hybrid_id.diagnosis.select import Selection, refitted_without
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import Horizon, shortest
@@ -25,6 +27,7 @@ from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import sensor_noise
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import alone, joint_number, some, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
@@ -35,32 +38,63 @@ What = tuple[str, str]
 """An effect by its name and its place, or, where it acts on all joints, its point on the robot, if it has one."""
 
 
+@dataclass(frozen=True, eq=False)
 class WholeRobot:
     """The diagnosed joints of a robot simulated together; the others, if any, move as they were measured.
 
     Attributes:
-        drives: the nominal drive of each joint by itself, by name.
-        records: of the joints that are simulated.
+        dataset: of the whole robot.
+        nominal: the nominal robot.
+        answers: of its joints, by name.
         horizon: how long free runs are.
-        kept: fits that an earlier run has kept, and where further ones are kept.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        seed: of the resampling.
+        progress: called with (stage, done, total).
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        nominal: System,
-        answers: Mapping[str, Answer],
-        signal_share: float,
-        horizon: Horizon,
-    ) -> None:
-        self.nominal, self.answers, self.signal_share = nominal, answers, signal_share
-        self.numbers = {name: joint_number(nominal, name) for name in answers}
-        self.drives = {name: alone(nominal, number) for name, number in self.numbers.items()}
-        self.every = len(self.numbers) == len(nominal.joints)
-        some_joints = self.numbers.values()
-        self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
-        self.horizon = horizon
-        self.kept = next(iter(answers.values())).fits.kept
+    dataset: Dataset
+    nominal: System
+    answers: Mapping[str, Answer]
+    horizon: Horizon
+    signal_share: float = SIGNAL_SHARE
+    seed: int = 0
+    progress: Progress | None = None
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Number of each joint in the robot, from 0."""
+        return {name: joint_number(self.nominal, name) for name in self.answers}
+
+    @cached_property
+    def drives(self) -> dict[str, System]:
+        """The nominal drive of each joint by itself."""
+        return {name: alone(self.nominal, number) for name, number in self.numbers.items()}
+
+    @cached_property
+    def records(self) -> Dataset:
+        """Of the joints that are simulated."""
+        if self.every:
+            return self.dataset
+        return with_others_measured(self.dataset, self.nominal, *self.numbers.values())
+
+    @property
+    def every(self) -> bool:
+        """Whether all joints are simulated."""
+        return len(self.answers) == len(self.nominal.joints)
+
+    @property
+    def kept(self) -> Kept | None:
+        """Fits that an earlier run has kept, and where further ones are kept."""
+        return next(iter(self.answers.values())).fits.kept
+
+    def say(self, stage: str, done: int, total: int) -> None:
+        """Tell the progress, where anybody listens."""
+        if self.progress is not None:
+            self.progress(stage, done, total)
+
+    def frozen(self, name: str, searched: Selection) -> Answer:
+        """A joint's answer by a search that the whole robot has changed."""
+        return frozen_again(self.answers[name], searched, self.drives[name], seed=self.seed)
 
     def key(self, name: str) -> str:
         """Where a joint's components stand."""
@@ -129,7 +163,9 @@ def what(effect: Name, system: System) -> What:
 
 
 def brought_to(robot: System, effect: Name, own: System) -> dict[str, ParameterInfo]:
-    """Rows of a robot's table of what an effect of a joint brings, by symbol; of one of all joints, wherever listed.
+    """Rows of a robot's table of what a joint's effect brings, by symbol.
+
+    One that acts on all joints is found wherever the robot lists it.
 
     Args:
         robot: which has the joint's effects.

@@ -11,9 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis, CommonSize
-from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import NEGLIGIBLE, RatedEffect
+from hybrid_id.diagnosis.whole_robot import brought_to
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
@@ -48,7 +48,6 @@ from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import in_unit, shown_unit
-from hybrid_id.systems.by_joint import numbered
 
 PAGE = "report.html"
 MOVED = 6
@@ -306,7 +305,7 @@ def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) 
         own: the effect as the joint by itself has it.
         joint: its name.
     """
-    infos, said = brought(found.model, one.name, numbered(found.model, one.where)), []
+    infos, said = brought_to(found.model, (own.name, own.where), found.joints[joint].model), []
     outputs = found.joints[joint].details.dataset.outputs
     for symbol, (value, std) in one.parameters.items():
         if (info := infos.get(symbol)) is None:

@@ -13,7 +13,7 @@ from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.diagnosis.common_cause import judged_by_all
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.model import added_effect
-from hybrid_id.diagnosis.whole_robot import brought_to
+from hybrid_id.diagnosis.whole_robot import WholeRobot, brought_to
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.systems.by_joint import alone
 from hybrid_id.systems.chain import System
@@ -68,7 +68,7 @@ def pulled(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 def test_a_tilt_that_no_joint_asserts_is_asserted_by_all(tilted: Case) -> None:
     dataset, nominal, answers = tilted
-    found = judged_by_all(dataset, nominal, answers, horizon=WHOLE)
+    found = judged_by_all(WholeRobot(dataset, nominal, answers, WHOLE))
     for name, k in JOINTS.items():
         (one,) = (c for c in found[name].grade.effects if c.selected)
         assert (one.name, one.where) == ("base_tilt", f"joint{k + 1}/load") and one.probability > 0.95
@@ -84,7 +84,7 @@ def test_validation_records_judge_it_too(tilted: Case) -> None:
     dataset, nominal, _ = tilted
     records = [replace(r, role="validation") if k == 0 else r for k, r in enumerate(dataset.records)]
     dataset = replace(dataset, records=tuple(records))
-    found = judged_by_all(dataset, nominal, answers_of(dataset, nominal), horizon=WHOLE)
+    found = judged_by_all(WholeRobot(dataset, nominal, answers_of(dataset, nominal), WHOLE))
     assert all([c.name for c in found[name].grade.effects if c.selected] == ["base_tilt"] for name in JOINTS)
 
 
@@ -93,13 +93,13 @@ def test_an_image_of_it_that_a_joint_asserts_gives_way(tilted: Case) -> None:
     lift = answers["lift"]
     image = next(e for e in lift.found.steps[0].candidates if e.effects[0][0] == "constant_torque")
     asserted = replace(lift, found=replace(lift.found, chosen=image))
-    found = judged_by_all(dataset, nominal, answers | {"lift": asserted}, horizon=WHOLE)
+    found = judged_by_all(WholeRobot(dataset, nominal, answers | {"lift": asserted}, WHOLE))
     assert [name for name, _ in found["lift"].found.chosen.effects] == ["base_tilt"]
 
 
 def test_torques_of_their_own_are_no_tilt(pulled: Case) -> None:
     dataset, nominal, answers = pulled
-    assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
+    assert judged_by_all(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
 
 
 def test_what_one_joint_alone_finds_likely_is_its_own(tilted: Case) -> None:
@@ -109,7 +109,7 @@ def test_what_one_joint_alone_finds_likely_is_its_own(tilted: Case) -> None:
     unlikely = tuple(-20.0 * (added_effect(one, step.before)[0] == "base_tilt") for one in step.candidates)
     turned = replace(elbow.found, steps=(replace(step, odds=unlikely),))
     answers = answers | {"elbow": replace(elbow, found=turned)}
-    assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
+    assert judged_by_all(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
 
 
 def test_what_all_assert_is_not_asked_again(tilted: Case) -> None:
@@ -124,7 +124,7 @@ def test_what_all_assert_is_not_asked_again(tilted: Case) -> None:
         )
         for name, one in answers.items()
     }
-    assert judged_by_all(dataset, nominal, sure, horizon=WHOLE) == sure
+    assert judged_by_all(WholeRobot(dataset, nominal, sure, WHOLE)) == sure
 
 
 def test_the_joint_that_does_not_list_it_shows_the_size_of_the_robot(tilted: Case) -> None:
@@ -145,4 +145,4 @@ def test_where_no_robot_can_be_fitted_the_joints_keep_their_answers(
         raise RuntimeError("diverged")
 
     monkeypatch.setattr("hybrid_id.diagnosis.whole_robot.kept_fit", fails)
-    assert judged_by_all(dataset, nominal, answers, horizon=WHOLE) == answers
+    assert judged_by_all(WholeRobot(dataset, nominal, answers, WHOLE)) == answers

@@ -19,6 +19,7 @@ from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_step
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.validation import Validation
+from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.systems.chain import System
 
@@ -73,7 +74,7 @@ def test_a_wrong_zero_and_a_torque_at_the_load_are_two_things_to_the_neighbours(
     dataset = records_of(nominal.with_component(right[1], LAWS[right]))
     lift, elbow = (of_joint(dataset, nominal, joint) for joint in (1, 2))
     assert {model.effects for group in tied_models(lift.found) for model in group} == {(ZERO,), (TORQUE,)}
-    found = distinguished(dataset, nominal, {"lift": wrong_first(lift), "elbow": elbow}, horizon=WHOLE)
+    found = distinguished(WholeRobot(dataset, nominal, {"lift": wrong_first(lift), "elbow": elbow}, WHOLE))
     (one,) = (effect for effect in found["lift"].grade.effects if effect.selected)
     assert (one.name, one.where) == right and found["lift"].found.chosen.effects == (right,)
     assert one.probability > 0.95 and not tied_sets(found["lift"].grade.effects)
@@ -87,7 +88,7 @@ def test_a_joint_without_neighbours_keeps_its_ties(
 ) -> None:
     dataset, answers = biased
     lift = {"lift": answers["lift"]}
-    assert distinguished(dataset, nominal, lift, horizon=WHOLE) == lift
+    assert distinguished(WholeRobot(dataset, nominal, lift, WHOLE)) == lift
 
 
 def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
@@ -97,7 +98,7 @@ def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
     dataset, answers = biased
     parts = {"lift": 0.05, "elbow": 0.95}
     monkeypatch.setattr("hybrid_id.diagnosis.distinguish.parts_of_gap", lambda *_: (parts, {}))
-    assert distinguished(dataset, nominal, answers, horizon=WHOLE) == answers
+    assert distinguished(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
 
 
 def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(
@@ -109,7 +110,7 @@ def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(
         raise RuntimeError("diverged")
 
     monkeypatch.setattr("hybrid_id.diagnosis.whole_robot.kept_fit", fails)
-    assert distinguished(dataset, nominal, answers, horizon=WHOLE) == answers
+    assert distinguished(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
 
 
 def test_a_rival_whose_records_do_not_accept_it_is_none(
@@ -118,7 +119,7 @@ def test_a_rival_whose_records_do_not_accept_it_is_none(
     """It could not stand alone, and the joint would be left with nothing."""
     dataset, answers = biased
     monkeypatch.setattr("hybrid_id.diagnosis.distinguish.accepted_ones", lambda step: [step.leader])
-    assert distinguished(dataset, nominal, answers, horizon=WHOLE) == answers
+    assert distinguished(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
 
 
 def test_fewer_parameters_are_no_merit_of_a_robot_that_errs_clearly_more() -> None:

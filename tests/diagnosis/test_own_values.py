@@ -19,6 +19,7 @@ from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.fits import FULL, Task
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.own_values import borne_out, helps, own_values
+from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.identification.result import FitResult
@@ -69,7 +70,7 @@ def test_a_tilt_that_two_joints_claim_is_not_refuted_by_the_other_claim(nominal:
             own = alone(nominal, number)
             answers[name] = answered(with_others_measured(dataset, nominal, number), own, max_effects=1)[1]
         assert all(one.found.chosen.effects for one in answers.values())
-        kept = borne_out(dataset, nominal, answers, horizon=WHOLE)
+        kept = borne_out(WholeRobot(dataset, nominal, answers, WHOLE))
     assert kept["lift"].found.chosen.effects
 
 
@@ -114,7 +115,7 @@ def test_what_only_looks_missing_is_refuted_by_the_whole_robot(nominal: System) 
             found=replace(answer.found, chosen=with_spring, own=None),
             grade=replace(answer.grade, effects=(claimed,)),
         )
-        kept = borne_out(dataset, nominal, {"elbow": wrong}, horizon=WHOLE)["elbow"]
+        kept = borne_out(WholeRobot(dataset, nominal, {"elbow": wrong}, WHOLE))["elbow"]
     assert not kept.found.chosen.effects and kept.verdict == "parameters_only"
     assert list(kept.rejected) == ["spring_load at joint3/load"] and "F_c_elbow" in " ".join(kept.varying)
     assert all(each.probability <= CRITERIA.false_alarms for each in kept.grade.effects)

@@ -9,7 +9,7 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, with_priors_of
+from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task, with_priors_of
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
@@ -20,6 +20,7 @@ from hybrid_id.diagnosis.select import (
     chance,
     leaves_something,
     needed_fall,
+    refitted_without,
     select,
 )
 from hybrid_id.diagnosis.validation import validation
@@ -31,7 +32,7 @@ NOISE, WAVE = RNG.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, 
 
 def model(residual: np.ndarray, *effects: tuple[str, str]) -> FittedModel:
     """A model that leaves these weighted errors, seen or not."""
-    result: Any = SimpleNamespace(residual=[residual], cost=1.0)
+    result: Any = SimpleNamespace(residual=[residual], cost=1.0, system=None)
     return FittedModel(effects, result, validation([residual], 0.002, ("run",)))
 
 
@@ -107,6 +108,35 @@ def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
     assert chosen(4.0) == 4.0
     assert abs(chosen(3.4) - 3.4) < 0.05
     assert abs(chosen(3.4, lower=3.35) - 3.4) < 0.05  # the nearest whole number lies outside the bounds
+
+
+@pytest.mark.parametrize(
+    ("finer", "ends", "asked", "taken"),
+    [
+        (1.0005, None, [FINER], "known"),  # where it is known already: neither fitted further nor judged
+        (1.3, 1.2, [FINER, FULL], "known"),
+        (1.3, 0.9, [FINER, FULL], "new"),
+        (0.95, 0.9, [FINER, FULL], "new"),
+        (9.0, None, [FINER], "known"),  # hopeless
+    ],
+)
+def test_a_model_that_errs_no_less_than_it_is_known_to_is_as_it_is_known(
+    monkeypatch: pytest.MonkeyPatch, finer: float, ends: float | None, asked: list[int], taken: str
+) -> None:
+    known, rich, seen = model(NOISE), model(0.9 * NOISE, PLAY), list[int]()
+    monkeypatch.setattr("hybrid_id.diagnosis.select.without", lambda *_: "start")
+
+    def run(tasks: list[Task], iterations: int) -> list[FittedModel]:
+        seen.append(iterations)
+        size = finer if iterations == FINER else ends
+        assert size is not None
+        found = model(np.sqrt(size) * NOISE)
+        return [replace(found, judged=iterations == FULL and size < tasks[0].judged_below)]
+
+    fits: Any = SimpleNamespace(run=run)
+    found = refitted_without(fits, known, rich, PLAY, known=known)
+    assert found is not None and found.judged and seen == asked
+    assert (found is known) == (taken == "known")
 
 
 def test_short_runs_say_how_probable_the_first_effects_are_and_whole_records_what_comes_beside() -> None:

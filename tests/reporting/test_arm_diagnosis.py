@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
 from hybrid_id.reporting.arm_diagnosis import arm_headline, common_words, joints_table, remark_lines
 from hybrid_id.reporting.diagnosis import diagnosis_page
@@ -101,6 +102,19 @@ def test_values_of_the_robot_and_of_its_joint_are_told_apart(found: ArmDiagnosis
     assert "of each joint by itself" in remark_lines(replace(found, estimates={}))[1]
     page = diagnosis_page(found.joints["elbow"], {}, robot="../report.html")
     assert "These values are of this joint by itself" in page.html()
+
+
+def test_what_acts_on_all_joints_has_its_size_at_each_that_has_it(found: ArmDiagnosis) -> None:
+    """The robot lists it once, here at the lift."""
+    elbow, tilt = found.joints["elbow"], REGISTRY["base_tilt"]
+    one = replace(elbow.effects[0], name="base_tilt", parameters={"e_x": (0.1, 0.0), "e_y": (0.2, 0.0)})
+    chosen = elbow.search.chosen
+    own = elbow.model.with_component(one.where, tilt(e_x=0.1, e_y=0.2))
+    chosen = replace(chosen, result=replace(chosen.result, system=own))
+    elbow = replace(elbow, effects=(one, *elbow.effects[1:]), search=replace(elbow.search, chosen=chosen))
+    robot = found.model.with_component("joint2/load", tilt(e_x=0.1, e_y=0.2))
+    several = replace(found, model=robot, joints={**found.joints, "elbow": elbow})
+    assert any("base tilt" in line and "0.2" in line for line in remark_lines(several))
 
 
 def test_angles_have_the_unit_that_was_logged(found: ArmDiagnosis) -> None:
