@@ -166,7 +166,7 @@ def said(file: Path) -> list[str]:
                 sizes = ", ".join(f"{name} {value:.4g}" for name, (value, _) in one["parameters"].items())
                 mark = "asserted" if one["selected"] else "not asserted"
                 lines.append(f"  {one['name']} at {one['where']}, {one['probability']:.2f}, {mark}: {sizes}")
-        lines += [f"  {words}" for words in (*found["changes"], *found["implausible_parameters"])]
+        lines += [f"  {words}" for words in (found["changes"], *found["implausible_parameters"]) if words]
     return lines
 
 
