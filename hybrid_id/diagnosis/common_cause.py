@@ -32,7 +32,6 @@ from hybrid_id.diagnosis.whole_robot import (
     fitted,
     held,
     less,
-    train_rows,
     what,
     without_effect,
 )
@@ -149,16 +148,16 @@ def _judged(
     jobs = next(iter(robot.answers.values())).fits.jobs
     fits = Fits(robot.records, jobs=jobs, signal_share=robot.signal_share, kept=robot.kept)
     fits = fits.over(robot.horizon)
-    plain = _to_the_end(fits, robot, [_task(robot, rests)])
+    plain = _to_the_end(fits, [_task(robot, rests)])
     own = _each_with(rests, each, {name: witness.model for name, witness in each.items()})
     if plain is None or not own:
         return None
     fits.weights = plain.validation.even_weights()
     plain = replace(plain, validation=plain.validation.weighted(fits.weights))
     first = next(iter(own))
-    richer = _to_the_end(fits, robot, _starts(robot, rests, each, own))
+    richer = _to_the_end(fits, _starts(robot, rests, each, own))
     others = _each_with(rests, each, {name: witness.rival for name, witness in each.items()})
-    several = _to_the_end(fits, robot, [_task(robot, {**rests, **others})]) if others else None
+    several = _to_the_end(fits, [_task(robot, {**rests, **others})]) if others else None
     if richer is None or (others and several is None):
         return None
     rivals = [] if several is None else [several]
@@ -220,7 +219,7 @@ def _task(robot: WholeRobot, models: Mapping[str, FittedModel]) -> Task:
     return Task(tuple(sorted(effects)), robot.system(models))
 
 
-def _to_the_end(fits: Fits, robot: WholeRobot, tasks: Sequence[Task]) -> FittedModel | None:
+def _to_the_end(fits: Fits, tasks: Sequence[Task]) -> FittedModel | None:
     """The best of some fits, to the end and judged by records left out; None where it cannot be fitted."""
     task = tasks[0]
     if len(tasks) > 1:
@@ -228,8 +227,7 @@ def _to_the_end(fits: Fits, robot: WholeRobot, tasks: Sequence[Task]) -> FittedM
         if not ends:
             return None
         task = replace(task, system=min(ends, key=lambda end: end.result.cost).system)
-    rows = train_rows(robot.records, task.system, robot.horizon, robot.signal_share)
-    near = fitted(task.system, rows, robot.kept)  # which goes on for as long as steps gain anything
+    near = fitted(task.system, fits.batch(task.system), fits.kept)  # goes on while steps gain anything
     return fits.run([replace(task, system=near.system)], FULL)[0]
 
 

@@ -172,17 +172,20 @@ def gear_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]
         error = _waves(periods[i] * of.within(q))
         return error, periods[i] * torch.stack([-error[..., 1], error[..., 0]], -1)
 
-    def at_link(i: int, of: Response) -> Tensor:
+    def wound(error: Tensor, slope: Tensor, of: Response) -> Tensor:
         assert stiffness is not None
-        (error, slope), (k, d) = error_of(i, of), stiffness
+        k, d = stiffness
         return of.within(k)[..., None] * error + (of.within(d) * of.within(v))[..., None] * slope
+
+    def at_link(i: int, of: Response) -> Tensor:
+        return wound(*error_of(i, of), of)
 
     def at_rotor(i: int, of: Response) -> Tensor:
         error, slope = error_of(i, of)
         pushed = pull * slope * of.within(a)[..., None]
         if stiffness is None:
             return -2.0 * pushed + pull * periods[i] ** 2 * error * of.within(v).square()[..., None]
-        return -at_link(i, of) / part.gear_ratio - pushed
+        return -wound(error, slope, of) / part.gear_ratio - pushed
 
     beside = None if part.rigid else (left.opened(joint, "load"), at_link)
     return [(periods[i], *size) for i, size in _peaks(_strongest(opened, len(periods), at_rotor, beside))]

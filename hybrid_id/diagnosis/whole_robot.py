@@ -172,11 +172,10 @@ def brought_to(robot: System, effect: Name, own: System) -> dict[str, ParameterI
         effect: its name and its place.
         own: the joint by itself, with the effect.
     """
-    places = [effect[1]]
-    if acts_on_all(effect[0]):
-        places += sorted({key.rpartition("/")[0] for key in robot.components})
-    there = (place for place in places if what((effect[0], place), robot) == what(effect, own))
-    return next((rows for place in there if (rows := brought(robot, effect[0], place))), {})
+    sought, kinds = what(effect, own), CATALOGUE[effect[0]].kinds
+    keys = (key.rpartition("/") for key in robot.components)
+    there = ((effect[0], place) for place, _, kind in keys if kind in kinds)
+    return next((brought(robot, *one) for one in there if what(one, robot) == sought), {})
 
 
 def without_effect(
