@@ -26,7 +26,7 @@ from hybrid_id.cli.options import (
 from hybrid_id.cli.results import files_in, write_last, write_report
 from hybrid_id.cli.train import check_network, say_how_long
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, listed
 from hybrid_id.records.files import make_folder
 from hybrid_id.reporting.provenance import program
 
@@ -97,9 +97,10 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
     if sorted(set(prices), reverse=True) != list(prices):
         with config.at("ablation.price"):
             raise InputError(f"the prices {list(prices)} are no ladder; give falling numbers")
-    if system.networks:
+    if system.learned:
         raise InputError(
-            f"model {config.model} has a residual network; give one without, to which the ablation adds its own"
+            f"model {config.model} has a network ({listed(system.learned)}); give one without, to which the ablation "
+            "adds its own"
         )
     first = how.networks[0] if how.networks else Hybrid().networks[0]
     task = Task(

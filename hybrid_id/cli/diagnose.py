@@ -14,6 +14,7 @@ from hybrid_id.cli.inputs import (
     check_window,
     checked_records,
     load_system,
+    remark_idle,
     remark_start_values,
     remark_uneven,
 )
@@ -30,7 +31,7 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
-from hybrid_id.config import Identification, StudyConfig, sections
+from hybrid_id.config import StudyConfig, sections
 from hybrid_id.errors import InputError, listed
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def diagnose(
     )  # fmt: skip
     home = required(config.output.folder)
     with kept_fits(home, "diagnosis", force=force, resume=resume, reads=config.reads) as kept:
-        remark_idle(config.identification)
+        remark_idle(config.identification, "diagnose")
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
@@ -140,19 +141,6 @@ def diagnose(
         more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {there}{', '.join(lacks)}{more}")
         raise typer.Exit(130)
-
-
-def remark_idle(said: Identification) -> None:
-    """Say which settings of the section 'identification' a diagnosis does without."""
-    plain = Identification()
-    if idle := [
-        k
-        for k in type(said).model_fields
-        if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
-    ]:
-        remark(
-            f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
-        )
 
 
 def fitting_jobs(dataset: "Dataset") -> int:

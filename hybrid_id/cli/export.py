@@ -329,12 +329,11 @@ def _own_records(config: StudyConfig) -> "Dataset | None":
 
 def _label(file: Path, system: "System") -> str:
     """What the model of a run is called; a diagnosis that asserts no effect has corrected none."""
-    from hybrid_id.components.load.residual_torque import ResidualTorque
     from hybrid_id.export.target import CORRECTED, HYBRID, REFITTED
 
     if file.name in (REFIT, PHYSICS):
         return REFITTED
-    if system.networks or any(isinstance(part, ResidualTorque) for part in system.components.values()):
+    if system.learned:
         return HYBRID
     result = _result_of(file) or {}
     if "effects" in result:

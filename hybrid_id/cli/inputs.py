@@ -6,7 +6,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import remark
-from hybrid_id.config import Ablation, Hybrid, StudyConfig, Training
+from hybrid_id.config import Ablation, Hybrid, Identification, StudyConfig, Training
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -186,6 +186,19 @@ def check_window(window: str | float, records: "Sequence[Record]") -> None:
     if (horizon := Horizon.of(window)) is not None and records:
         step = median(record.sample_time for record in records)
         horizon.check(max(record.n_samples for record in records), step)
+
+
+def remark_idle(said: Identification, command: str) -> None:
+    """Say which settings of the section 'identification' a command does without that has its own least squares."""
+    plain = Identification()
+    if idle := [
+        k
+        for k in type(said).model_fields
+        if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
+    ]:
+        remark(
+            f"{command} fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
+        )
 
 
 def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") -> None:

@@ -21,7 +21,14 @@ from hybrid_id.cli.folder import (
     resumable,
     stopped,
 )
-from hybrid_id.cli.inputs import MOST_JOINTS, check_windows, checked_records, load_system
+from hybrid_id.cli.inputs import (
+    MOST_JOINTS,
+    check_window,
+    check_windows,
+    checked_records,
+    load_system,
+    remark_idle,
+)
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -143,7 +150,10 @@ def by_joint(
         )
     if resume:
         raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
+    remark_idle(config.identification, "train --joint")
     dataset = checked_records(config)
+    with config.at("identification.window"):
+        check_window(config.identification.window, dataset.records)
     use_threads(threads)
     from hybrid_id.reporting.residual_torques import (
         residuals_page,

@@ -72,7 +72,8 @@ def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | Non
 def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:
     """The whole robot with these models of its joints, fitted to the train records; None where that fails.
 
-    Held by the priors of the search: free, its drives take much of what a wrong explanation leaves.
+    Held by the priors of the search, but for what it has freed of them: free, the drives take much of what a wrong
+    explanation leaves.
     """
     try:
         system = robot.system(models, held=True)

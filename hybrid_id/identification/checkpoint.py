@@ -7,11 +7,12 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
 
 from hybrid_id import __version__
+from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import digest_of
 from hybrid_id.identification.optimizers import OptimizerState, QuasiNewtonState
@@ -23,12 +24,14 @@ Content = TypeVar("Content")
 
 def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> str:
     """What the numbers of a training depend on, as one hash: model, start values, networks, records, settings."""
-    parts = [(key, part.kind) for key, part in system.components.items()]
+    components, tree = cast("dict[str, Component]", dict(system.components.items())), system.tree
+    parts = [(key, part.kind, sorted(part.options().items())) for key, part in components.items()]
     known = hashlib.sha256(repr((system.name, system.gear_ratio, parts, settings)).encode())
     for info in system.table:
         known.update(repr((info.name, info.spec)).encode())
-    for key, part in system.networks.items():
-        known.update(repr((key, sorted(part.options().items()))).encode())
+    if tree is not None:
+        robot = tree.joints, tree.bodies, tree.gravity, tree.couplings, tree.points, tree.held
+        known.update(digest_of(robot).encode())
     for batch in batches:
         known.update(repr((batch.names, batch.outputs)).encode())
         for channel in (batch.dt, batch.y, batch.weight, *batch.u.values()):

@@ -186,7 +186,8 @@ def strokes(system: System, engine: Engine, batch: Batch) -> Batch:
 def _stroke_starts(system: System, batch: Batch, row: int) -> list[int]:
     """First samples of a record's strokes, and the number of its samples."""
     samples = int((batch.weight[row] > 0).any(1).sum())
-    rows = [joint.positions[-1] + 1 for joint in system.joints]
+    # the rotor's, which every model of a joint has from the same output: all are cut at the same samples
+    rows = [joint.positions[0] + 1 for joint in system.joints]
     speed = batch.x[row, :samples, rows].abs().cpu().numpy()
     still = (speed <= STILL * speed.max(0)).all(1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))

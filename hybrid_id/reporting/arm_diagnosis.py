@@ -16,7 +16,7 @@ from hybrid_id.diagnosis.grade import NEGLIGIBLE, RatedEffect
 from hybrid_id.diagnosis.whole_robot import brought_to
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
-from hybrid_id.records.units import number_of
+from hybrid_id.records.units import number_of, stem
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
     Moved,
@@ -352,10 +352,11 @@ def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
 
 @journal()
 def joints_figure(found: ArmDiagnosis) -> Figure:
-    """RMSE of each joint on the test records, of the three models."""
+    """RMSE of each joint's angles on the test records, of the three models; speeds have another unit."""
     models = _models(found)
     names = () if found.model.tree is None else found.model.tree.names
-    outputs = [] if found.refit_errors is None else list(found.refit_errors.rmse)
+    measured = [] if found.refit_errors is None else list(found.refit_errors.rmse)
+    outputs = [one for one in measured if stem(one) in ("q_a", "q_m")]
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
     for name, errors in models.items():
@@ -364,7 +365,12 @@ def joints_figure(found: ArmDiagnosis) -> Figure:
     for row, output in enumerate(outputs):
         values = [1e3 * errors.rmse[output] for errors in models.values()]
         axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
-    labels = [shortened(names[int(number_of(output)) - 1], MAX_NAME) for output in outputs]
+    numbers = [number_of(output) for output in outputs]
+    labels = [
+        shortened(names[int(number) - 1], MAX_NAME)
+        + (", motor" if numbers.count(number) > 1 and stem(output) == "q_m" else "")
+        for output, number in zip(outputs, numbers, strict=True)
+    ]
     axes.set_yticks(range(len(outputs)), labels)
     axes.set(xscale="log", xlabel="RMSE on the test records [1e-3 rad or m]", ylim=(len(outputs) - 0.5, -0.5))
     plain_logarithm(axes.xaxis)

@@ -285,7 +285,7 @@ def write_physics(path: Path, found: ArmHybrid) -> None:
         sets = [("physics alone", one.physics, int(not stays), errors)]
         sets += [("with network", one.hybrid, 1, {})] if stays else []
         for words, fit, chosen, known in sets:
-            values = dict(zip(fit.names, fit.values, strict=True))
+            values = {name: fit.system.parameter(name).spec.value for name in one.physics.names}
             for name, unit in zip(one.physics.names, one.physics.units, strict=True):
                 std = known.get(name) if name not in fit.at_bound else None
                 ends = ("",) * 5 if std is None else _ends(values[name], std, level)

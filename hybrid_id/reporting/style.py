@@ -144,7 +144,9 @@ def legend_above(figure: Figure, axes: Axes, columns: int | None = None) -> None
 def plain_logarithm(axis: Axis) -> None:
     """Few plain numbers instead of powers of ten on a logarithmic axis."""
     low, high = axis.get_view_interval()
-    subs = next((s for most, s in ((30.0, (1.0, 2.0, 5.0)), (300.0, (1.0, 3.0))) if high <= most * low), (1.0,))
+    subs = next(
+        (s for most, s in ((30.0, (1.0, 2.0, 5.0)), (300.0, (1.0, 3.0))) if high <= most * low), (1.0,)
+    )
     axis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())

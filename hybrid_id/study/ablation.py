@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ from pydantic import BeforeValidator, TypeAdapter
 from hybrid_id import __version__
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
+from hybrid_id.identification.keep import digest_of
 from hybrid_id.identification.networks import with_memory
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
@@ -168,8 +170,10 @@ class Task:
         """The model of a cell before its training; the network alone takes its scale from the batch."""
         if cell.arm.residual != BLACK_BOX:
             return with_arm(self.system, cell.arm, self.inputs, self.memory, self.lipschitz, cell.seed)
-        sizes = [1.0] * len(self.system.joints) if train is None else _accelerations(self.system, train)
-        return black_box(self.system, sizes, inputs=self.inputs, hidden=(cell.arm.width,), seed=cell.seed)
+        alone = partial(black_box, self.system, inputs=self.inputs, hidden=(cell.arm.width,), seed=cell.seed)
+        unscaled = alone([1.0] * len(self.system.joints))
+        # its states are not those of the physics that the batch knows nothing of
+        return unscaled if train is None else alone(_accelerations(unscaled, train))
 
 
 def run_cell(task: Task, cell: Cell) -> CellResult:
@@ -274,7 +278,7 @@ def key_of(task: Task, cell: Cell, program: str = __version__) -> str:
     """Digest of all that decides a cell: records, model, settings, and the program that computes it."""
     settings = (
         program, cell, task.split(cell.seed), task.engine, replace(task.options, seed=0), task.inputs,
-        task.memory, task.lipschitz, task.horizon, task.signal_share, describe_model(task.system), task.dataset.digest,
+        task.memory, task.lipschitz, task.horizon, task.signal_share, digest_of(task.system), task.dataset.digest,
     )  # fmt: skip
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 

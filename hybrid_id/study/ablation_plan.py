@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -16,6 +17,8 @@ from hybrid_id.systems.chain import System
 
 NONE, STATIC, MEMORY, BLACK_BOX = "none", "static", "memory", "black box"
 OWN, ALL = "own", "all"
+LONGEST_NAME = 120
+"""Characters of a cell's folder before its seed: a file system takes names of 255."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +75,12 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Its name as that of a folder."""
+        """Its name as that of a folder; a long one ends in a digest of what is cut off."""
         words = "".join(c if c.isalnum() or c in "._" else "-" for c in self.arm.name)
-        return f"{'-'.join(filter(None, words.split('-')))}-seed-{self.seed}"
+        words = "-".join(filter(None, words.split("-")))
+        if len(words) > LONGEST_NAME:
+            words = f"{words[:LONGEST_NAME]}-{hashlib.sha256(self.arm.name.encode()).hexdigest()[:8]}"
+        return f"{words}-seed-{self.seed}"
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.components.load.residual_torque import ResidualTorque
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, listed
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
 from hybrid_id.identification.least_squares import Options
@@ -168,6 +168,11 @@ def learn_residuals(
         raise InputError(
             "Networks are learnt joint by joint for a robot; give a model that names its description."
         )
+    if system.learned:
+        raise InputError(
+            f"The model has a network ({listed(system.learned)}); give the physics alone: a training writes it as "
+            "physics.yaml beside its model.yaml."
+        )
     names, skipped = list(joints or system.tree.names), dict[str, str]()
     numbers = {name: joint_number(system, name) for name in names}
     found: dict[str, JointHybrid] = {}
@@ -312,9 +317,9 @@ def _with_network(
         for name, spec in known.items()
     }  # fmt: skip
     both = fit(learnt.with_specs(freed), part, **settings)[0]
-    ends = {
-        name: replace(spec.at(both.system.parameter(name).spec.value), estimate=True)
-        for name, spec in known.items()
+    ends = {  # those without a standard error, which have not moved, stay parameters to be estimated, too
+        name: replace(learnt.parameter(name).spec.at(both.system.parameter(name).spec.value), estimate=True)
+        for name in physics.names
     }
     return replace(both, system=both.system.with_specs(ends))
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from hybrid_id.components.base import PLACES, Component, Shared, StateUpdate
 from hybrid_id.components.input.delay import CommonDelay
+from hybrid_id.components.load.residual_torque import ResidualTorque
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
@@ -141,6 +142,11 @@ class System(nn.Module):
             if joint in slides and acts_along(type(cast(Component, part)), place, slides[joint]):
                 found.add(key)
         return found
+
+    @property
+    def learned(self) -> tuple[str, ...]:
+        """Keys of its networks, whether their weights are parameters or not."""
+        return tuple(k for k, c in self.components.items() if isinstance(c, ResidualNetwork | ResidualTorque))
 
     @property
     def _common_delay(self) -> tuple[str, CommonDelay] | None:

@@ -116,7 +116,7 @@ class Arm:
     """An arm.
 
     Attributes:
-        links: in the order of their joints, carried ones after those that carry them.
+        links: in the order of their joints, each before what it carries, as the description nests them.
         drives: as they are, with all effects.
         servo: whether position servos follow goals; elsewhere a controller commands torques, which are logged.
         brake: torque per speed of that controller [N m s/rad].
@@ -191,7 +191,17 @@ def _links(rng: np.random.Generator, count: int) -> list[Link]:
                 (*swing, mass * width**2),
             )
         )
-    return links
+    return _depth_first(links)
+
+
+def _depth_first(links: Sequence[Link]) -> list[Link]:
+    """The links in the order in which a description nests them, by which engines number their joints."""
+    order, waiting = list[int](), [k for k, one in enumerate(links) if one.parent < 0][::-1]
+    while waiting:
+        order.append(waiting.pop())
+        waiting += [k for k, one in enumerate(links) if one.parent == order[-1]][::-1]
+    number = {-1: -1} | {old: new for new, old in enumerate(order)}
+    return [replace(links[k], parent=number[links[k].parent]) for k in order]
 
 
 def _carried(links: Sequence[Link]) -> tuple[np.ndarray, np.ndarray]:
