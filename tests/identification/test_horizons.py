@@ -9,6 +9,7 @@ import torch
 from drives import make_record, multisine, rigid_drive
 from torch import Tensor
 
+from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import (
@@ -27,6 +28,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import Simulation, simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import compare, identify
+from hybrid_id.systems.builders import one_link
 
 ENGINE = Engine(compiled=compiler() is not None)
 TRUTH = rigid_drive()
@@ -184,3 +186,21 @@ def test_no_window_errs_more_than_from_its_measured_state(sound: list[Record]) -
 
     measured, moved = errors(simulate(stuck, ENGINE, pieces)), errors(free_runs(stuck, ENGINE, pieces))
     assert (moved <= (1.0 + 1e-5) * measured).all() and (moved < 0.9 * measured).any()
+
+
+def test_strokes_are_cut_alike_for_a_rigid_and_a_compliant_gear(sound: list[Record]) -> None:
+    """With encoders on both sides the rests are those of the rotor, or models would be compared over other pieces."""
+    rigid = one_link(50.0)
+    link = [np.roll(record.outputs["q_m1"], 3) / 50.0 for record in sound]
+    both = [
+        replace(record, outputs={"q_m1": record.outputs["q_m1"], "q_a1": angle})
+        for record, angle in zip(sound, link, strict=True)
+    ]
+    compliant = rigid.with_component("joint1/transmission", REGISTRY["joint_flexibility"](compliance=0.02))
+    noise = {"q_m1": 0.01, "q_a1": 0.001}
+    found = [
+        Horizon("strokes").cut(system, ENGINE, make_batch(system, both, noise_std=noise))
+        for system in (rigid, compliant)
+    ]
+    assert found[0].rows == found[1].rows > len(sound)
+    assert (found[0].weight > 0).equal(found[1].weight > 0)

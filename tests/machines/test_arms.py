@@ -16,6 +16,7 @@ from hybrid_id.machines.arms.refit import Fit, OneByOne
 from hybrid_id.machines.further import further_records
 from hybrid_id.machines.make import make_case, make_cases
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.robots.description import load_tree
 from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")
@@ -147,3 +148,16 @@ def test_without_mujoco_no_arm_is_made(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(InputError, match=r"not installed; install it with pip install 'hybrid_id\[robots\]'"):
         make_cases(1, 1, tmp_path, realism="arms")
     assert not list(tmp_path.iterdir())
+
+
+def test_joints_are_numbered_as_engines_number_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A description nests what branches off: records are logged in its order of the joints."""
+    monkeypatch.setattr(robot, "JOINTS", (7, 7))
+    orders = set()
+    for seed in range(12):
+        arm, _ = robot.draw_arm(np.random.default_rng([27, seed, 0]))
+        (tmp_path / "arm.xml").write_text(robot.mjcf(arm))
+        tree = load_tree(tmp_path / "arm.xml")
+        assert list(tree.names) == arm.names
+        orders.add(tuple(link.parent for link in arm.links))
+    assert any(parents != tuple(range(-1, 6)) for parents in orders)

@@ -114,3 +114,9 @@ def test_a_network_alone_sleeps_at_first() -> None:
     alone = black_box(DRIVE, [10.0])
     run = simulate(alone, Engine("smooth"), make_batch(alone, [record]))
     assert run.x[..., 1].abs().max() == 0.0 and Cell(Arm(), 3).name == "physics-only-seed-3"
+
+
+def test_a_cell_of_many_places_has_a_name_that_a_file_system_takes() -> None:
+    places = tuple(f"left_shoulder_pitch_joint_{k}/motor_friction" for k in range(7))
+    names = {Cell(Arm("static", places[:n], 8), 1).name for n in (6, 7)}
+    assert len(names) == 2 and all(len(name) < 150 for name in names)

@@ -8,11 +8,15 @@ from pathlib import Path
 
 import pytest
 from drives import make_records, multisine, rigid_drive
+from servo_arm import described
 
+from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
+from hybrid_id.identification.checkpoint import fingerprint
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.files import plain
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.ablation import (
@@ -25,6 +29,8 @@ from hybrid_id.study.ablation import (
     save_cell,
 )
 from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell
+from hybrid_id.systems import two_link
+from hybrid_id.systems.model_file import load_model
 
 STATIC = Arm("static", ("joint1/motor",), 3)
 BROKEN = Cell(Arm("static", ("joint9/motor",), 3), 0)
@@ -134,3 +140,31 @@ def test_the_key_follows_all_that_decides_a_cell(task: Task) -> None:
     keys = [key_of(task, cell), key_of(task, Cell(Arm(), 1)), *(key_of(other, cell) for other in others)]
     assert len(set(keys)) == len(keys)
     assert key_of(replace(task, options=replace(task.options, seed=9)), cell) == keys[0]
+
+
+def test_the_key_follows_the_description_of_a_robot(task: Task, tmp_path: Path) -> None:
+    """A model file names it, and may stay as it is where that is edited."""
+    nominal = described(tmp_path)
+    heavy = tmp_path / "heavy"
+    heavy.mkdir()
+    (heavy / "arm.xml").write_text((tmp_path / "arm.xml").read_text().replace('mass="0.4"', 'mass="0.8"'))
+    (heavy / "model.yaml").write_text((tmp_path / "model.yaml").read_text())
+    edited = load_model(heavy / "model.yaml")
+    keys = {key_of(replace(task, system=one), CELLS[0]) for one in (nominal, edited)}
+    assert len(keys) == 2
+    assert fingerprint(nominal, []) != fingerprint(edited, []) and fingerprint(nominal, []) == fingerprint(
+        described(tmp_path), []
+    )
+
+
+def test_a_network_alone_stands_in_for_joints_with_states_of_their_own(task: Task) -> None:
+    two = two_link((20.0, 30.0)).with_component("joint1/motor_friction", REGISTRY["lugre"]())
+    record = task.dataset.records[0]
+    inputs = {f"u{k}": record.inputs["u1"] for k in (1, 2)}
+    outputs = {f"q_m{k}": k * record.outputs["q_m1"] for k in (1, 2)}
+    one = replace(task, system=two)
+    cell = Cell(Arm(BLACK_BOX, width=4), 0)
+    batch = make_batch(one.model(cell), [replace(record, inputs=inputs, outputs=outputs)])
+    table = one.model(cell, batch).table
+    inertias = [info.spec.value for info in table if info.unit == "kg m^2" and not info.spec.estimate]
+    assert len(inertias) == 2 and inertias[0] == pytest.approx(2.0 * inertias[1], rel=0.05)

@@ -1,5 +1,6 @@
 """Networks at a robot's joints: one where something is missing, none elsewhere, and physics keeps its meaning."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ from servo_arm import described, records_of
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.results import write_physics
 from hybrid_id.study.residual_torques import HELD, learn_residuals
 from hybrid_id.systems.builders import one_link
 from hybrid_id.systems.by_joint import turned_together
@@ -85,3 +87,25 @@ def test_ctrl_c_keeps_the_joints_that_are_done(nominal: System) -> None:
 
     found = learn_residuals(records_of(nominal, 3), nominal, ["lift", "elbow"], say=stop)
     assert found.interrupted and set(found.joints) == {"lift"} and found.skipped == {"elbow": "stopped"}
+
+
+def test_a_limit_that_is_never_met_stays_a_parameter(nominal: System, tmp_path: Path) -> None:
+    """It has no standard error, and stands in the files of a joint whose network stays."""
+    machine = nominal.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    dataset = records_of(machine, 5)
+    name = "tau_max_elbow"
+    spec = nominal.parameter(name).spec
+    limited = nominal.with_specs({name: replace(spec.at(50.0), estimate=True)})
+    found = learn_residuals(dataset, limited, ["elbow"])
+    elbow = found.joints["elbow"]
+    assert elbow.size is not None and name in elbow.physics.names and name not in elbow.drift
+    assert found.system.parameter(name).spec.estimate
+    write_physics(tmp_path / "parameters.csv", found)
+    lines = [line.split(",") for line in (tmp_path / "parameters.csv").read_text().splitlines()]
+    assert [float(line[3]) for line in lines if line[2] == name] == [50.0, 50.0]
+
+
+def test_a_model_with_a_network_is_no_physics(nominal: System) -> None:
+    learnt = nominal.with_component("joint3/load", REGISTRY["residual_torque"]())
+    with pytest.raises(InputError, match="has a network .*residual_torque.*physics.yaml"):
+        learn_residuals(records_of(nominal, 3), learnt, ["elbow"])
