@@ -81,7 +81,7 @@ def selection_step(
     """Every effect of the catalogue, or some of them, added to a model, one at a time: stages screen and fit.
 
     Where the nominal model is held, the priors travel in its ``System`` to every candidate, and from there to the
-    chosen model. What leaves no structure without them is fitted without; the answer has none (``diagnose._unheld``).
+    chosen model. What does better without them is fitted without; the answer has none (``diagnose._unheld``).
 
     Args:
         fits: fits models to the train records.
@@ -249,8 +249,8 @@ def _further(
 ) -> list[FittedModel]:
     """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first.
 
-    A few at a time, for what the first ones leave says which others are still rivals. To the end, what leaves no
-    structure without its parameters held is fitted without.
+    A few at a time, for what the first ones leave says which others are still rivals. To the end, what does
+    better without its parameters held is fitted without (:func:`_held_or_not`).
     """
     left, done, ends = list(some), list[FittedModel](), list[FittedModel]()
     for count in (1, FINALISTS - 1, len(left)):
@@ -260,11 +260,11 @@ def _further(
         leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends, before)
         left = [e for e in left if e is best or _worth_it(e, best, before, iterations)]
         rivals, left = left[:count], left[count:]
-        starts = {e: e for e in rivals}
+        starts = [(e, e) for e in rivals]
         if iterations == FULL:
-            starts = {e: _unheld_if_enough(fits, nominal, e) for e in rivals}
+            starts = [(e, start) for e in rivals for start in _held_or_not(fits, nominal, e)]
         if ends and iterations == FULL and best.white:
-            starts = {e: start for e, start in starts.items() if start.trained < _no_rival(best, before)}
+            starts = [(e, start) for e, start in starts if start.trained < _no_rival(best, before)]
         more = fits.run(
             [
                 Task(
@@ -275,13 +275,13 @@ def _further(
                     perturb=promising(e, before) and e.trained < leads,
                     judged_below=below,
                 )
-                for e, start in starts.items()
+                for e, start in starts
             ],
             iterations,
             tick,
         )
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
-        done += starts
+        done += [e for e, _ in starts]
         ends += [e for e in more if e is not None]
         if iterations == FINER and len(done) == 1:
             ends = _freed(fits, nominal, before, ends)
@@ -353,10 +353,16 @@ def _unheld(fits: Fits, nominal: System, one: FittedModel) -> FittedModel | None
     return fits.run([Task(one.effects, start, x0=one.result.x0)], FINER)[0]
 
 
-def _unheld_if_enough(fits: Fits, nominal: System, one: FittedModel) -> FittedModel:
-    """A candidate where its last fit starts: held no longer, if it then leaves no structure."""
+def _held_or_not(fits: Fits, nominal: System, one: FittedModel) -> list[FittedModel]:
+    """A candidate where its last fits start: held, held no longer where it then leaves no structure, or both.
+
+    Both where it errs clearly less when free: records left out decide, as they have of the nominal model's priors.
+    """
     free = _unheld(fits, nominal, one)
-    return free if free is not None and free.no_structure else one
+    if free is not None and free.no_structure:
+        return [free]
+    less = free is not None and free.trained < (1.0 - CRITERIA.distinct_fall) * one.trained
+    return [one, free] if free is not None and less else [one]
 
 
 def _polished(

@@ -107,5 +107,5 @@ def test_a_limit_that_is_never_met_stays_a_parameter(nominal: System, tmp_path: 
 
 def test_a_model_with_a_network_is_no_physics(nominal: System) -> None:
     learnt = nominal.with_component("joint3/load", REGISTRY["residual_torque"]())
-    with pytest.raises(InputError, match="has a network .*residual_torque.*physics.yaml"):
+    with pytest.raises(InputError, match=r"has a network .*residual_torque.*physics\.yaml"):
         learn_residuals(records_of(nominal, 3), learnt, ["elbow"])
