@@ -300,3 +300,19 @@ def test_where_a_wave_leads_all_its_initial_values_go_over_short_windows(
     assert asked((wave,), (wave, spring)) == []
     # what leaves no structure needs no look from afar
     assert asked((), (wave,), no_structure=True) == []
+
+
+@pytest.mark.parametrize(
+    ("free", "structure", "starts"),
+    [(0.95, True, ["held"]), (0.5, True, ["held", "free"]), (0.95, False, ["free"]), (None, True, ["held"])],
+)
+def test_what_errs_clearly_less_when_free_is_fitted_both_ways_to_the_end(
+    monkeypatch: pytest.MonkeyPatch, free: float | None, structure: bool, starts: list[str]
+) -> None:
+    """Priors that hold a model which lacks much may keep the right effect from what it explains."""
+    module = importlib.import_module("hybrid_id.diagnosis.screen")
+    held = Fitted((("spring_load", "joint1/load"),), 1.0, no_structure=False, system="held")
+    freed = None if free is None else Fitted(held.effects, free, no_structure=not structure, system="free")
+    monkeypatch.setattr(module, "_unheld", lambda *_: freed)
+    found = module._held_or_not(cast(Any, None), cast(Any, None), cast(Any, held))
+    assert [one.system for one in found] == starts
