@@ -76,7 +76,7 @@ def diagnose(
             help="Processes that share the fits.",
             min=1,
             max=sections.MOST_JOBS,
-            show_default="one on each core",
+            show_default="one on each core, four at most; one for long records",
         ),
     ] = None,
     seed: SeedOption = None,
@@ -89,8 +89,8 @@ def diagnose(
     Train records fit; records left out, or validation records, choose; the test records only measure. Writes
     report.html, diagnosis.json, model.yaml (with the effects), refit.yaml (the nominal model, re-fitted),
     next_experiment.csv (where effects are tied: what to command next), pictures and TensorBoard events; of a robot of
-    many joints the same for each joint in a folder of its name, and for the whole robot. Ctrl-C ends the search with
-    what it has found, --resume goes on.
+    more than two joints a page and models for each joint in a folder of its name, and those of the whole robot above.
+    Ctrl-C ends the search with what it has found, --resume goes on.
     """
     config = config_of(
         source, model, out, window, gap__max_effects=most if max_effects is None else max_effects, gap__jobs=jobs,

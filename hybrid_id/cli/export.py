@@ -13,7 +13,15 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from hybrid_id.cli.console import LONG, TIMED, bar, remark, rough_time, show
-from hybrid_id.cli.folder import DIAGNOSIS, RESULT, kind_of, refuse_file, result_file
+from hybrid_id.cli.folder import (
+    DIAGNOSIS,
+    RESULT,
+    kind_of,
+    make_parents,
+    refuse_file,
+    remove_empty,
+    result_file,
+)
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
 from hybrid_id.cli.options import ABOVE, JsonOption, use_threads
 from hybrid_id.cli.results import write_last
@@ -115,6 +123,7 @@ def export(
     """
     _refuse_foreign_options(to, check, sample_time, width, force=force)
     refuse_file(out, force=overwrite, option="--overwrite")
+    remove_empty(make_parents(out))  # a place that cannot be written is said before anything is fitted
     files = _files(out, to)
     for one in files[1:]:
         refuse_file(one, force=overwrite, option="--overwrite", beside=out)

@@ -326,7 +326,7 @@ def _model_text(model: "ProposedModel") -> str:
 
 def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base: Path) -> None:
     """Write the files under temporary names and rename them; copy logs that lie elsewhere."""
-    from hybrid_id.records.files import write_together
+    from hybrid_id.records.files import make_folder, write_together
 
     for log in copied:
         target = folder / log.file.path.resolve().relative_to(base.resolve())
@@ -334,7 +334,7 @@ def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base
             raise InputError(
                 f"{target} exists, where a copy of {log.file.path} would go; give another folder"
             )
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for path in dict.fromkeys(log.file.path for log in copied):
         target = folder / path.resolve().relative_to(base.resolve())
         target.parent.mkdir(parents=True, exist_ok=True)

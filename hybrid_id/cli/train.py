@@ -83,7 +83,8 @@ def train(
     With a `hybrid` section in the study file, residual networks train beside the physics (configs/study_hybrid.yaml).
     While it runs, `tensorboard --logdir DIR` shows its history. Ctrl-C ends it with what it has; --resume goes on.
 
-    With --joint, a robot's joints get networks one by one, the others as measured: seconds a joint.
+    With --joint, a robot's joints get networks one by one, the others as measured, by least squares: seconds a joint,
+    so that no fits are kept and --resume, --device and --per-record have no use.
     """
     config = config_of(
         source, model, out, identification__pooled=pooled, identification__seed=seed,
@@ -148,6 +149,8 @@ def by_joint(
             "--joint learns one kind of network by itself; leave it out for those of the section 'hybrid', or take "
             "that section out"
         )
+    if "all" in joints and len(set(joints)) > 1:
+        raise InputError("--joint all takes every joint; leave the others out")
     if resume:
         raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
     remark_idle(config.identification, "train --joint")

@@ -378,7 +378,9 @@ def _to_diagnose(
     for name in joints or ():
         joint_number(system, name)
         if name in skipped:
-            raise InputError(f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}.")
+            raise InputError(
+                f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}; take it out of --joint."
+            )
     names = [name for name in able if joints is None or name in joints]
     skipped |= {name: NOT_ASKED for name in able if name not in names}
     if not names:

@@ -145,6 +145,7 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         # where no torque is known, changes that differ by the scale of all torques are indistinguishable
         parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
         alone = _moved_alone(infos, axes, change, spread)
+        parts = _beside(parts, alone, whitened, moved)
         one = _several(nominal, names, parts, alone, max((r.explained for r in rejected), default=0.0))
     return replace(one, rejected=rejected)
 
@@ -279,6 +280,20 @@ def _together(hypotheses: list[_Hypothesis], whitened_axes: np.ndarray, moved: n
         if best is None or chi2.sf(left - best[0].left, len(best[-1].sizes)) >= LEFT:
             return found
         found, left = best, best[0].left
+
+
+def _beside(
+    parts: list[_Solution], alone: dict[int, float], whitened_axes: np.ndarray, moved: np.ndarray
+) -> list[_Solution]:
+    """The changes with all that has surely moved besides free; without those that it explains as well."""
+    hypotheses = [one.hypothesis for one in parts]
+    within = {k for one in hypotheses for k in np.flatnonzero(one.columns.any(1))}
+    rows = [k for k in alone if k not in within]
+    if not parts or not rows:
+        return parts
+    others = _Hypothesis("alone", 0, np.eye(whitened_axes.shape[1])[:, rows])
+    found = _solve_together([*hypotheses, others], whitened_axes, moved)[:-1]
+    return [one for one in found if _makes_sense(one) and _coherent(one)]
 
 
 def _solve_together(

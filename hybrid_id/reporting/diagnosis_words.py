@@ -450,8 +450,8 @@ def moved_line(values: Iterable[Moved], channels: Sequence[Channel], most: int |
     more += [f"{len(away) - len(far)} more by less than {100 * NOMINAL:g} %"] if len(away) > len(far) else []
     beside = f" (and {', '.join(more)})" if more else ""
     return [
-        f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Within data-sheet tolerance take the values "
-        "that were fitted."
+        f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Take fitted values that lie within "
+        "data-sheet tolerance; others are suspect."
     ]
 
 

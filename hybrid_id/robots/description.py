@@ -122,6 +122,8 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
                 f"{path}: {kind} '{name}' couples joints or closes a loop, which is not supported; take it out."
             )
     for body in spec.bodies:
+        if body.mass < 0.0:
+            raise InputError(f"{path}: mass of body '{body.name}' is {body.mass:g} kg; give 0 or more.")
         if body.gravcomp:
             raise InputError(f"{path}: body '{body.name}' has gravcomp, which no machine has; set it to 0.")
 
@@ -210,6 +212,7 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
     if not name:
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
         raise InputError(f"{path}: a joint of body '{body}' has no name; give it one.")
+    _refuse_signs(path, mujoco, model, j, name)
     return TreeJoint(
         name=name,
         kind="slide" if slide else "hinge",
@@ -226,6 +229,25 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         torque_limit=_torque_limit(mujoco, model, j),
         gear=_motor_gear(mujoco, model, j),
     )
+
+
+def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
+    """Refuse a joint whose friction, inertia or loop no machine has, and a second actuator, which would be dropped."""
+    at = int(model.jnt_dofadr[j])
+    for word, size in (("damping", model.dof_damping), ("frictionloss", model.dof_frictionloss)):
+        if (value := float(np.ravel(size[at])[0])) < 0.0:
+            raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
+    acting = _acting(mujoco, model, j)
+    if len(acting) > 1:
+        raise InputError(
+            f"{path}: joint '{name}' has {len(acting)} actuators, of which one can drive it; keep that one."
+        )
+    for i in acting:
+        stiffness = float(model.actuator_gainprm[i][0])
+        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and stiffness <= 0.0:
+            raise InputError(
+                f"{path}: kp of the actuator of joint '{name}' is {stiffness:g}; give more than 0."
+            )
 
 
 def _speed_limits(path: Path) -> dict[str, float]:

@@ -9,6 +9,7 @@ rigid bodies (section 6.2), here with 3-vectors. Differs from them by a fixed ba
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
@@ -461,12 +462,22 @@ class RigidBodyTree:
             at: position of each held joint by its name [rad or m].
 
         Raises:
-            InputError: a name that no joint has, or no joint left that moves.
+            InputError: a name that no joint has, a position that it cannot have, or no joint left that moves.
         """
         if unknown := [name for name in at if name not in self.names]:
             raise InputError(
                 f"The robot has no joint '{unknown[0]}' to hold; it has {', '.join(self.names)}."
             )
+        for joint in self.joints:
+            low, high = joint.limits
+            slack = 0.1 * (high - low) if math.isfinite(high - low) else 0.0
+            place = at.get(joint.name, 0.0)
+            if joint.name in at and not (math.isfinite(place) and low - slack <= place <= high + slack):
+                unit = "m" if joint.kind == "slide" else "rad"
+                raise InputError(
+                    f"The joint '{joint.name}' cannot be held at {place:g} {unit}: it reaches from {low:.4g} to "
+                    f"{high:.4g} {unit}; correct 'hold' in the model (degrees are no radians)."
+                )
         joints: list[TreeJoint] = []
         seat: list[tuple[int, Matrix, Vector]] = []  # of each joint: what moves it, and its frame there
         for joint in self.joints:

@@ -188,7 +188,8 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
     if still and len(still) == joints:
         raise InputError(f"{at_rest}.")
     runs = replay(dataset.select(names), system)
-    words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
+    outputs = list(runs[0].nrmse) if runs else []
+    words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs], outputs)
     found = [Finding("warning", "start_values", words)] if words else []
     if still:
         words = f"{at_rest}, or hold it in the model: its parameters stay at their start values"
@@ -277,18 +278,26 @@ def check_priors(study: Study) -> list[str]:
     return lines
 
 
-def _verdict(who: str, names: Sequence[str], nrmse: Sequence[Sequence[float]] | np.ndarray) -> str:
+def _verdict(
+    who: str,
+    names: Sequence[str],
+    nrmse: Sequence[Sequence[float]] | np.ndarray,
+    outputs: Sequence[str] = (),
+) -> str:
     """Say that the normalised RMSE (n_records, n_outputs) of the worst output, median of the records, is above 1.
 
-    Or that of single records which stand far out of the others.
+    Or that of single records which stand far out of the others. Of several ``outputs``, if they are given, which.
     """
     errors = np.array(nrmse, float)
     if not errors.size:
         return ""
-    moving = errors[:, ~np.isnan(errors).all(0)]  # an output that stands still in all records has none
-    worst = float(np.max(np.nanmedian(moving, axis=0), initial=0.0)) if moving.size else 0.0
+    moving = np.flatnonzero(~np.isnan(errors).all(0))  # an output that stands still in all records has none
+    typical = np.nanmedian(errors[:, moving], axis=0)
+    worst = float(np.max(typical, initial=0.0))
     if worst > 1.0:
         size = f"normalised RMSE {worst:.3g}" if np.isfinite(worst) else "the simulation diverges"
+        if len(outputs) > 1 and np.isfinite(worst):
+            size += f" of {outputs[moving[int(np.argmax(typical))]]}"
         return f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"
     largest = np.nanmax(np.where(np.isnan(errors), -np.inf, errors), axis=1)
     out = [k for k, error in enumerate(largest) if error > max(1.0, FAR_OUT * float(np.median(largest)))]

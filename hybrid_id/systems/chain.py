@@ -353,9 +353,15 @@ class System(nn.Module):
             number = int(name[len(channel) :] or 0)
             if number not in self._numbers:
                 ends = f"a number up to {len(self.joints)}" if self.seats is None else f"{self._numbers[0]}"
+                held = [] if self.tree is None else list(self.tree.held)
+                cure = (
+                    f"{', '.join(held)}, held in the model, {'have' if len(held) > 1 else 'has'} no number: number the "
+                    "columns without, or take 'hold' out"
+                    if held
+                    else "take a model of that joint, or leave the output out of the dataset"
+                )
                 raise InputError(
-                    f"Output '{name}' names no joint of {self.name}, whose outputs end in {ends}; take a model of that "
-                    "joint, or leave the output out of the dataset."
+                    f"Output '{name}' names no joint of {self.name}, whose outputs end in {ends}; {cure}."
                 )
             joint = self.joint(number)
             if channel != "tau_a":

@@ -9,7 +9,7 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 from servo_arm import described
 
-from hybrid_id.diagnosis.changes import _change_words, find_change
+from hybrid_id.diagnosis.changes import _beside, _change_words, _Hypothesis, _solve, find_change
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.result import FitResult
@@ -252,3 +252,17 @@ def test_what_vague_records_leave_open_is_said() -> None:
         told.append(found.name in ("load", "none", "several") or "load" in found.indistinguishable_from)
         assert not found.indistinguishable_from or "indistinguishable in these records" in found.words
     assert sum(told) >= 18
+
+
+@pytest.mark.parametrize(("dry", "named"), [(0.02, False), (-0.3, True)])
+def test_what_has_moved_besides_is_free_beside_a_change(dry: float, named: bool) -> None:
+    """A gain that has moved is seen with dry friction: without it friction seems to have fallen by a sixth."""
+    whitened = np.array([[100.0, 0.0, -60.0], [0.0, 100.0, 0.0], [0.0, 0.0, 80.0]])
+    moved = whitened @ np.array([dry, -0.35, 0.3])
+    friction = _Hypothesis("friction", 1, np.eye(3)[:, :2], together=True)
+    parts = [_solve(friction, whitened, moved)]
+    assert (parts[0].sizes < -0.1).all()
+    found = _beside(parts, {2: 0.3}, whitened, moved)
+    assert [one.hypothesis.name for one in found] == ["friction"] * named
+    if named:
+        np.testing.assert_allclose(found[0].sizes, [dry, -0.35], atol=1e-9)

@@ -136,3 +136,25 @@ def test_a_link_without_an_inertia_is_one_to_be_estimated(tmp_path):
     if not path.exists():
         pytest.skip("the shared data are not beside the project")
     assert len(load_tree(path).joints) == 6
+
+
+LIFTED = '<joint name="{name}" {joint}/><inertial mass="{mass}" pos="0 0 0.1" diaginertia="0.01 0.01 0.01"/>'
+
+
+@pytest.mark.parametrize(
+    ("joint", "mass", "actuators", "words"),
+    [
+        ('damping="-0.6"', 1, "", "damping of joint 'lift' is -0.6; give 0 or more"),
+        ('frictionloss="-1"', 1, "", "frictionloss of joint 'lift' is -1; give 0 or more"),
+        ("", -0.03, "", "mass of body 'arm' is -0.03 kg"),
+        ("", 1, '<position joint="lift" kp="0"/>', "kp of the actuator of joint 'lift' is 0; give more"),
+        ("", 1, '<position joint="lift" kp="8"/><motor joint="lift"/>', "joint 'lift' has 2 actuators"),
+    ],
+)
+def test_what_no_machine_has_is_refused_by_its_element(tmp_path, joint, mass, actuators, words):
+    body = LIFTED.format(name="lift", joint=joint, mass=mass)
+    text = f'<worldbody><body name="arm">{body}</body></worldbody><actuator>{actuators}</actuator>'
+    (tmp_path / "arm.xml").write_text(f"<mujoco>{text}</mujoco>")
+    with pytest.raises(InputError, match=words) as error:
+        load_tree(tmp_path / "arm.xml")
+    assert "arm.xml: " in str(error.value)
