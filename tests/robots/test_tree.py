@@ -186,7 +186,7 @@ def test_holding_refuses_an_unknown_joint_and_all_of_them(tmp_path):
         tree.holding(dict.fromkeys(tree.names, 0.0))
     short = replace(tree, joints=tuple(replace(joint, limits=(-0.1, 1.4)) for joint in tree.joints))
     for far in (40.0, float("nan"), float("inf")):
-        with pytest.raises(InputError, match="cannot be held at .*reaches from -0.1 to 1.4"):
+        with pytest.raises(InputError, match=r"cannot be held at .*reaches from -0.1 to 1.4"):
             short.holding({tree.names[0]: far})
 
 
