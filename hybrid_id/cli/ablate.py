@@ -70,7 +70,9 @@ def ablate(
     say_how_long(system)
     task, cells = planned(config, dataset, system)
     if config.ablation is None:
-        remark(f"the study file has no section 'ablation': the {len(cells)} cells of the default plan are computed")
+        remark(
+            f"the study file has no section 'ablation': the {len(cells)} cells of the default plan are computed"
+        )
     make_folder(home / CELLS)
     with sole_writer(home):
         results = _run(task, cells, home, jobs, scheduler, events=config.output.tensorboard)

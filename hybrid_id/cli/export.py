@@ -105,11 +105,11 @@ def export(
             show_default=str(WIDTH),
         ),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")] = False,
-    force: Annotated[
+    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+    worse: Annotated[
         bool,
         typer.Option(
-            "--force", help="Write a corrected model that is worse in MuJoCo than the re-fitted one."
+            "--worse", help="Write a corrected model that is worse in MuJoCo than the re-fitted one."
         ),
     ] = False,
     as_json: JsonOption = False,
@@ -121,12 +121,12 @@ def export(
     those of --check, beside the nominal and the re-fitted model; what it loses there is fitted anew in MuJoCo, and a
     corrected model that stays worse than the re-fitted one is refused.
     """
-    _refuse_foreign_options(to, check, sample_time, width, force=force)
-    refuse_file(out, force=overwrite, option="--overwrite")
+    _refuse_foreign_options(to, check, sample_time, width, worse=worse)
+    refuse_file(out, force=force)
     remove_empty(make_parents(out))  # a place that cannot be written is said before anything is fitted
     files = _files(out, to)
     for one in files[1:]:
-        refuse_file(one, force=overwrite, option="--overwrite", beside=out)
+        refuse_file(one, force=force, beside=out)
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
@@ -135,14 +135,14 @@ def export(
     if to is Format.ranges:
         made = _ranges(system, file, out)
     elif to is Format.mjcf:
-        made = _mjcf(system, file, check, out, force=force)
+        made = _mjcf(system, file, check, out, worse=worse)
     else:
         made = _program(system, out, sample_time or SAMPLE_TIME, width or WIDTH)
     about = {"model": str(model), "format": to.value}
     if made.content is not None:
         about |= {"model": str(file), "file": out.name}
     text = to_json("export", about | made.described)
-    _write(files, made, text, overwrite=overwrite)
+    _write(files, made, text, force=force)
     if as_json:
         return show(text)
     left_out = made.described.get("left_out", [])
@@ -156,14 +156,14 @@ def export(
 
 
 def _refuse_foreign_options(
-    to: Format, check: Path | None, sample_time: float | None, width: float | None, *, force: bool
+    to: Format, check: Path | None, sample_time: float | None, width: float | None, *, worse: bool
 ) -> None:
     """Refuse an option of another format than the one asked for."""
     if check is not None and to is not Format.mjcf:
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
-    if force and to is not Format.mjcf:
+    if worse and to is not Format.mjcf:
         raise InputError(
-            "--force writes a model that is worse in MuJoCo; leave it out, --overwrite replaces files that exist"
+            "--worse writes a model that is worse in MuJoCo; leave it out, --force replaces files that exist"
         )
     if to is not Format.torch and (sample_time, width) != (None, None):
         raise InputError(
@@ -180,11 +180,11 @@ def _files(out: Path, to: Format) -> list[Path]:
     return [out, *beside]
 
 
-def _write(files: Sequence[Path], made: Made, text: str, *, overwrite: bool) -> None:
+def _write(files: Sequence[Path], made: Made, text: str, *, force: bool) -> None:
     """Write the model, its description and its page, all or none; the description comes in last."""
     with ExitStack() as stack:
         kept = files if made.page is not None else files[:2]
-        out, *beside = (stack.enter_context(result_file(one, force=overwrite)) for one in kept)
+        out, *beside = (stack.enter_context(result_file(one, force=force)) for one in kept)
         if made.content is None:
             return write_last(out, text)
         out.write_bytes(made.content)
@@ -193,7 +193,7 @@ def _write(files: Sequence[Path], made: Made, text: str, *, overwrite: bool) -> 
         write_last(beside[0], text)
 
 
-def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, force: bool) -> Made:
+def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, worse: bool) -> Made:
     from hybrid_id.export.mjcf import to_mjcf
     from hybrid_id.export.target import with_comment
     from hybrid_id.reporting import target
@@ -208,10 +208,10 @@ def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, force:
     if errors is None:
         words = ["give --check DATASET to see how closely MuJoCo replays your records"]
         return Made(described, words, exported.text.encode())
-    if errors.worse and not force:
+    if errors.worse and not worse:
         raise InputError(
             f"{file}: {target.worse_words(errors)}; nothing is written: export {_refitted_beside(file)}, or give "
-            "--force to write it all the same"
+            "--worse to write it all the same"
         )
     if errors.worse:
         remark(f"{target.worse_words(errors)}; it is written all the same")

@@ -214,13 +214,12 @@ def result_file(path: Path, *, force: bool, beside: Path | None = None) -> Itera
         remove_empty(made)
 
 
-def refuse_file(path: Path, *, force: bool, option: str = "--force", beside: Path | None = None) -> None:
+def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
     """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays.
 
     Args:
         path: the file.
         force: whether it may be replaced.
-        option: that allows it.
         beside: the file that the user has named, where this one, of the same name, goes with it.
     """
     named = beside or path
@@ -231,7 +230,7 @@ def refuse_file(path: Path, *, force: bool, option: str = "--force", beside: Pat
         )
     if path.exists() and not force:
         both = "" if beside is None else " to replace both"
-        raise InputError(f"{which} exists; give another name than {named.name}, or {option}{both}")
+        raise InputError(f"{which} exists; give another name than {named.name}, or --force{both}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():
         raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
     announce(path)

@@ -224,7 +224,11 @@ def _glitches(
         if spikes.any():
             at = record.time[np.argmax(spikes) + 2]
             count = spikes.sum()
-            stand = "1 sample stands out as a spike," if count == 1 else f"{count} samples stand out as spikes, first"
+            stand = (
+                "1 sample stands out as a spike,"
+                if count == 1
+                else f"{count} samples stand out as spikes, first"
+            )
             words = f"{stand} at {stamp(at)} s; use a robust loss or repair them"
             yield "warning", "spikes", words
     for extreme in (values.max(), values.min()):

@@ -59,7 +59,7 @@ def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
         (["--to", "mjcf", "--sample-time", "0.01"], "are of the torch program"),
         (["--to", "mjcf", "--out", "{}/m.json"], "description beside it; take another ending"),
         (["--to", "mjcf", "--out", "{}/m.html"], "page beside it; take another ending"),
-        (["--to", "ranges", "--force"], "--force writes a model that is worse in MuJoCo"),
+        (["--to", "ranges", "--worse"], "--worse writes a model that is worse in MuJoCo"),
         (["--to", "urdf"], "'urdf' is not one of"),
         (["--to", "mjcf", "--out", "{}"], "is a folder"),
     ],
@@ -83,7 +83,7 @@ def test_a_file_that_nobody_named_is_said_to_go_with_the_named_one(
     done = run("export", drive / "model.yaml", "--to", "mjcf", "--out", tmp_path / "robot.xml")
     said = " ".join(done.err.split())
     assert done.code == 2 and f"{words} with robot.xml, exists; give another name than robot.xml" in said
-    assert "or --overwrite to replace both" in said
+    assert "or --force to replace both" in said
     assert [one.name for one in tmp_path.iterdir()] == [f"robot.{ending}"]
 
 
@@ -162,11 +162,9 @@ def test_every_out_says_what_becomes_of_folders_above_it() -> None:
 def test_file_is_kept_unless_it_may_be_overwritten(run, drive: Path, tmp_path: Path) -> None:
     (tmp_path / "ranges.json").write_text("mine")
     done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json")
-    assert done.code == 2 and "--overwrite" in done.err
+    assert done.code == 2 and "--force" in done.err
     assert (tmp_path / "ranges.json").read_text() == "mine"
-    done = run(
-        "export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--overwrite"
-    )
+    done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--force")
     assert done.code == 0 and "parameters" in (tmp_path / "ranges.json").read_text()
 
 
@@ -176,7 +174,7 @@ def test_an_export_replaces_neither_results_nor_its_own_input(run, drive: Path, 
     (folder / "model.yaml").write_text((drive / "model.yaml").read_text())
     (folder / "result.json").write_text("{}")
     for out in ("result.xml", "model.yaml"):
-        done = run("export", folder, "--to", "mjcf", "--out", folder / out, "--overwrite")
+        done = run("export", folder, "--to", "mjcf", "--out", folder / out, "--force")
         assert done.code == 2 and "belongs to earlier results" in done.err
     assert (folder / "result.json").read_text() == "{}"
     for out in (".", "/"):

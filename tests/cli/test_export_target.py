@@ -76,14 +76,14 @@ def test_a_corrected_model_that_stays_worse_is_refused(run, diagnosed: Path, tmp
     out = tmp_path / "out" / "robot.xml"
     done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out)
     assert done.code == 2 and not out.parent.exists()
-    assert "in MuJoCo the corrected model errs by" in done.err and "refit.yaml, or give --force" in done.err
+    assert "in MuJoCo the corrected model errs by" in done.err and "refit.yaml, or give --worse" in done.err
     done = run("export", tmp_path / "gap" / "refit.yaml", "--to", "mjcf", "--out", out)
     assert done.code == 0, done.err
+    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--worse")
+    assert done.code == 2 and "or --force" in done.err, "a file that exists is another question"
     done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--force")
-    assert done.code == 2 and "or --overwrite" in done.err, "a file that exists is another question"
-    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--overwrite")
     assert done.code == 2 and "re-fitted" in out.read_text() and "corrected" not in out.read_text()
-    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--overwrite", "--force")
+    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--force", "--worse")
     assert done.code == 0 and "it is written all the same" in done.err
     assert "corrected" in out.read_text()
 
