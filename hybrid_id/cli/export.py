@@ -173,6 +173,10 @@ def _refuse_foreign_options(
 
 def _files(out: Path, to: Format) -> list[Path]:
     """The file to write, then its description and its page; ranges are JSON themselves."""
+    if to is Format.mjcf and out.suffix.lower() == ".urdf":
+        raise InputError(
+            f"{out}: MJCF is written, which no reader of URDF takes; give a file that ends in .xml"
+        )
     endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
     beside = [out.with_suffix(ending) for ending in endings]
     if out in beside:

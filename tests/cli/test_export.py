@@ -61,6 +61,7 @@ def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
         (["--to", "mjcf", "--out", "{}/m.html"], "page beside it; take another ending"),
         (["--to", "ranges", "--worse"], "--worse writes a model that is worse in MuJoCo"),
         (["--to", "urdf"], "'urdf' is not one of"),
+        (["--to", "mjcf", "--out", "{}/m.urdf"], "give a file that ends in .xml"),
         (["--to", "mjcf", "--out", "{}"], "is a folder"),
     ],
 )
