@@ -13,6 +13,7 @@ from hybrid_id.components import Cogging
 from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
+    _better_ways,
     _from_afar,
     _judged_below,
     _worth_it,
@@ -316,3 +317,16 @@ def test_what_errs_clearly_less_when_free_is_fitted_both_ways_to_the_end(
     monkeypatch.setattr(module, "_unheld", lambda *_: freed)
     found = module._held_or_not(cast(Any, None), cast(Any, None), cast(Any, held))
     assert [one.system for one in found] == starts
+
+
+@pytest.mark.parametrize(
+    ("error", "judged", "kept"), [(0.5, True, "free"), (0.95, True, "held"), (0.5, False, "held")]
+)
+def test_of_both_ways_the_free_one_is_taken_where_records_left_out_say_so(
+    error: float, judged: bool, kept: str
+) -> None:
+    held = Fitted((("spring_load", "joint1/load"),), 1.0, no_structure=False, system="held")
+    free = Fitted(held.effects, error, no_structure=False, judged=judged, system="free")
+    one, other = cast(Any, Fitted(held.effects, 1.2)), cast(Any, Fitted((), 2.0))
+    found = _better_ways([one, one, other, other], cast(Any, [held, free, None, held]))
+    assert [end.system for end in found] == [kept, "held"]
