@@ -367,13 +367,14 @@ def _held_or_not(fits: Fits, nominal: System, one: FittedModel) -> list[FittedMo
 
 
 def _better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None]) -> list[FittedModel]:
-    """Of each candidate the end of its fits, a later one only where it predicts records left out clearly better."""
+    """Of each candidate the end of its fits, a later one only where records left out are surely better for it."""
     found = dict[FittedModel, FittedModel]()
     for one, end in zip(some, ends, strict=True):
         if end is None:
             continue
         first = found.setdefault(one, end)
-        if end.judged and end.error < (1.0 - CRITERIA.distinct_fall) * first.error:
+        less = end.judged and end.error < (1.0 - CRITERIA.distinct_fall) * first.error
+        if less and end.ahead_of(first) >= CRITERIA.distinct_z:
             found[one] = end
     return list(found.values())
 

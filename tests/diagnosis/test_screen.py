@@ -320,13 +320,19 @@ def test_what_errs_clearly_less_when_free_is_fitted_both_ways_to_the_end(
 
 
 @pytest.mark.parametrize(
-    ("error", "judged", "kept"), [(0.5, True, "free"), (0.95, True, "held"), (0.5, False, "held")]
+    ("error", "z", "judged", "kept"),
+    [
+        (0.5, 3.0, True, "free"),
+        (0.5, 2.0, True, "held"),
+        (0.95, 3.0, True, "held"),
+        (0.5, 3.0, False, "held"),
+    ],
 )
 def test_of_both_ways_the_free_one_is_taken_where_records_left_out_say_so(
-    error: float, judged: bool, kept: str
+    error: float, z: float, judged: bool, kept: str
 ) -> None:
     held = Fitted((("spring_load", "joint1/load"),), 1.0, no_structure=False, system="held")
-    free = Fitted(held.effects, error, no_structure=False, judged=judged, system="free")
+    free = Fitted(held.effects, error, z=z, no_structure=False, judged=judged, system="free")
     one, other = cast(Any, Fitted(held.effects, 1.2)), cast(Any, Fitted((), 2.0))
     found = _better_ways([one, one, other, other], cast(Any, [held, free, None, held]))
     assert [end.system for end in found] == [kept, "held"]
