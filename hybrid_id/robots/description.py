@@ -237,14 +237,19 @@ def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> Non
     for word, size in (("damping", model.dof_damping), ("frictionloss", model.dof_frictionloss)):
         if (value := float(np.ravel(size[at])[0])) < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
-    acting = _acting(mujoco, model, j)
-    if len(acting) > 1:
+    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    by_angle, by_speed = model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2]
+    brake = (
+        affine & (by_angle == 0.0) & (by_speed != 0.0)
+    )  # a loop of the speed alone may stand beside another one
+    driving = [i for i in _acting(mujoco, model, j) if not brake[i]]
+    if len(driving) > 1:
         raise InputError(
-            f"{path}: joint '{name}' has {len(acting)} actuators, of which one can drive it; keep that one."
+            f"{path}: joint '{name}' has {len(driving)} actuators, of which one can drive it; keep that one."
         )
-    for i in acting:
+    for i in driving:
         stiffness = float(model.actuator_gainprm[i][0])
-        if model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and stiffness <= 0.0:
+        if affine[i] and stiffness <= 0.0:
             raise InputError(
                 f"{path}: kp of the actuator of joint '{name}' is {stiffness:g}; give more than 0."
             )
