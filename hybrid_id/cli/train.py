@@ -133,6 +133,19 @@ def train(
                 raise typer.Exit(130)
 
 
+def _refuse_by_joint(config: StudyConfig, joints: list[str], *, resume: bool) -> None:
+    """Refuse what networks joint by joint have no use for."""
+    if config.hybrid is not None:
+        raise InputError(
+            "--joint learns one kind of network by itself; leave it out for those of the section 'hybrid', or take "
+            "that section out"
+        )
+    if "all" in joints and len(set(joints)) > 1:
+        raise InputError("--joint all takes every joint; leave the others out")
+    if resume:
+        raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
+
+
 def by_joint(
     config: StudyConfig,
     home: Path,
@@ -144,15 +157,7 @@ def by_joint(
     threads: int,
 ) -> None:
     """Networks at a robot's joints, one by one: write the folder of results and print them."""
-    if config.hybrid is not None:
-        raise InputError(
-            "--joint learns one kind of network by itself; leave it out for those of the section 'hybrid', or take "
-            "that section out"
-        )
-    if "all" in joints and len(set(joints)) > 1:
-        raise InputError("--joint all takes every joint; leave the others out")
-    if resume:
-        raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
+    _refuse_by_joint(config, joints, resume=resume)
     remark_idle(config.identification, "train --joint")
     dataset = checked_records(config)
     with config.at("identification.window"):
