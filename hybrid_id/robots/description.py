@@ -232,16 +232,15 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
 
 
 def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
-    """Refuse a joint whose friction, inertia or loop no machine has, and a second actuator, which would be dropped."""
+    """Refuse a joint whose friction or loop no machine has, and a second actuator, which would be dropped."""
     at = int(model.jnt_dofadr[j])
     for word, size in (("damping", model.dof_damping), ("frictionloss", model.dof_frictionloss)):
         if (value := float(np.ravel(size[at])[0])) < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     by_angle, by_speed = model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2]
-    brake = (
-        affine & (by_angle == 0.0) & (by_speed != 0.0)
-    )  # a loop of the speed alone may stand beside another one
+    # a loop of the speed alone, a brake, may stand beside another one
+    brake = affine & (by_angle == 0.0) & (by_speed != 0.0)
     driving = [i for i in _acting(mujoco, model, j) if not brake[i]]
     if len(driving) > 1:
         raise InputError(

@@ -468,14 +468,14 @@ class RigidBodyTree:
             raise InputError(
                 f"The robot has no joint '{unknown[0]}' to hold; it has {', '.join(self.names)}."
             )
-        for joint in self.joints:
+        for name, place in at.items():
+            joint = self.joints[self.names.index(name)]
             low, high = joint.limits
             slack = 0.1 * (high - low) if math.isfinite(high - low) else 0.0
-            place = at.get(joint.name, 0.0)
-            if joint.name in at and not (math.isfinite(place) and low - slack <= place <= high + slack):
+            if not (math.isfinite(place) and low - slack <= place <= high + slack):
                 unit = "m" if joint.kind == "slide" else "rad"
                 raise InputError(
-                    f"The joint '{joint.name}' cannot be held at {place:g} {unit}: it reaches from {low:.4g} to "
+                    f"The joint '{name}' cannot be held at {place:g} {unit}: it reaches from {low:.4g} to "
                     f"{high:.4g} {unit}; correct 'hold' in the model (degrees are no radians)."
                 )
         joints: list[TreeJoint] = []

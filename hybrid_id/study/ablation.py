@@ -172,7 +172,7 @@ class Task:
             return with_arm(self.system, cell.arm, self.inputs, self.memory, self.lipschitz, cell.seed)
         alone = partial(black_box, self.system, inputs=self.inputs, hidden=(cell.arm.width,), seed=cell.seed)
         unscaled = alone([1.0] * len(self.system.joints))
-        # its states are not those of the physics that the batch knows nothing of
+        # the batch was prepared for it: the physics may have further states
         return unscaled if train is None else alone(_accelerations(unscaled, train))
 
 
