@@ -1,8 +1,10 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
 import errno
+import itertools
 import re
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -145,6 +147,13 @@ class Commands(TyperGroup):
         finally:
             self.listing = False
 
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
+        """The command that a line names, and what is left of the line; options that count once may stand once."""
+        name, command, rest = super().resolve_command(ctx, args)  # type: ignore[arg-type]
+        inner = getattr(command, "commands", {}).get(rest[0]) if rest else None
+        _refuse_twice(getattr(inner or command, "params", ()), rest)
+        return name, command, rest
+
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """Run a command; Ctrl-C says what is kept, and so does SIGTERM."""
         try:
@@ -163,8 +172,11 @@ class Commands(TyperGroup):
         except InputError as error:
             code = _refuse(str(error))
         except TyperException as error:  # an option or argument that does not exist, or has a wrong value
-            path = getattr(getattr(error, "ctx", None), "command_path", "hybrid-id")
-            code = _refuse(f"{_plain(error.format_message())}; see '{path} --help'")
+            named = ["hybrid-id", *(word for word in args[:1] if word in COMMANDS)]
+            path = getattr(getattr(error, "ctx", None), "command_path", " ".join(named))
+            values = getattr(getattr(error, "param", None), "nargs", 1)
+            apart = f" ({values} values, a space between them)" if values > 1 else ""
+            code = _refuse(f"{_plain(error.format_message())}{apart}; see '{path} --help'")
         except OSError as error:
             where = f" ({error.filename})" if error.filename else ""
             if error.errno in FULL:
@@ -190,6 +202,15 @@ def _refuse_control(args: list[str]) -> None:
     """Raise InputError for a word that could be neither shown nor written: a path is both, after all the work."""
     if odd := next((word for word in args if has_control(word, lines=True)), None):
         raise InputError(f"'{shown(odd)}' on the command line {CONTROL}; rename the file, or type it anew")
+
+
+def _refuse_twice(params: Sequence[Any], words: list[str]) -> None:
+    """Raise InputError for an option that is given twice and of which all but the last would be passed over."""
+    given = [word.partition("=")[0] for word in itertools.takewhile(lambda word: word != "--", words)]
+    once = (one for one in params if one.param_type_name == "option" and not (one.multiple or one.is_flag))
+    for one in once:
+        if sum(given.count(name) for name in one.opts) > 1:
+            raise InputError(f"{one.opts[0]} is given twice, and one counts; leave the other out")
 
 
 def _refuse(message: str, code: int = 2) -> int:

@@ -64,6 +64,10 @@ def fleet(
     check_backend(backend, scheduler)
     home = required(out)
     refuse_foreign(home, ROBOTS, "*.json")
+    if not robots.is_dir():
+        raise InputError(
+            f"{robots} is no folder; name the one that holds a folder with records for each robot"
+        )
     model = model or robots / "model.yaml"
     if not model.exists():
         raise InputError(f"{model} does not exist; name the model of all robots with --model")

@@ -74,8 +74,10 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         same = held.resolve() == path.resolve()
         what = "is what this command reads" if same else f"holds {held}, which this command reads"
         raise InputError(f"{path} {what}; give another folder for the results")
+    if force is not None and not _holds_ours(path):
+        raise InputError(f"{path} holds {FOREIGN}")
     if not force:
-        training = (path / CHECKPOINT).exists() and _holds_ours(path)
+        training = (path / CHECKPOINT).exists()
         unfinished = training and not (path / RESULT).exists()
         advice = "give another folder" + ("" if force is None else ", or --force to replace what is in it")
         if training:
@@ -83,8 +85,6 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         raise InputError(
             f"{path} {'holds an unfinished training' if unfinished else 'is not empty'}; {advice}"
         )
-    if not _holds_ours(path):
-        raise InputError(f"{path} holds {FOREIGN}")
     below = (file for name in RESULTS for file in path.rglob(name) if file.parent != path)
     if nested := next(filter(_is_ours, below), None):
         raise InputError(f"{path} holds other results, in {nested.parent}; move them, or give another folder")

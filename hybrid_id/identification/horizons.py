@@ -83,7 +83,7 @@ class Horizon:
         with suppress(ValueError):
             if 0.0 < float(wish) < np.inf:
                 return Horizon("windows", float(wish))
-        raise InputError(f"window '{wish}' is not known; give a length in seconds, whole, strokes or auto")
+        raise InputError(f"window '{wish}' is none; give a length in seconds above 0, whole, strokes or auto")
 
     @property
     def length(self) -> str:

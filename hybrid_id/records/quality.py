@@ -229,7 +229,9 @@ def _glitches(
                 if count == 1
                 else f"{count} samples stand out as spikes, first"
             )
-            words = f"{stand} at {stamp(at)} s; use a robust loss or repair them"
+            words = (
+                f"{stand} at {stamp(at)} s; use '--loss huber', or repair {'it' if count == 1 else 'them'}"
+            )
             yield "warning", "spikes", words
     for extreme in (values.max(), values.min()):
         at = find_stop(values, extreme, fine)
@@ -426,7 +428,7 @@ def check_sampling(record: Record) -> Iterator[Finding]:
             f"meanwhile; cut the record there with 'between', or bridge it with 'resample: {{max_gap: {longest:.0f}}}'"
         )
         yield Finding("error", "gap", words, name)
-    if not record.is_uniform:
+    elif not record.is_uniform:
         steps = np.diff(record.time)
         words = (
             f"{name}: stamps are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart (median "

@@ -187,15 +187,10 @@ def joints_table(found: ArmDiagnosis) -> Table:
         rows, errors = [row[:-1] for row in rows], [f"RMSE {name} ({min(units)})>" for name in models]
     else:
         errors = [*(f"RMSE {name}>" for name in models), *(("unit",) if models else ())]
-    heads = (
-        "joint",
-        "lacks",
-        "part of the gap>",
-        "share of the joint's own gap>",
-        "probability>",
-        "unexplained>",
-        *errors,
-    )
+    own = "share of the joint's own gap>"
+    heads = ("joint", "lacks", "part of the gap>", own, "probability>", "unexplained>", *errors)
+    if len(rows) == 1:  # all of it: of the other joints nothing is known
+        heads, rows = heads[:2] + heads[3:], [row[:2] + row[3:] for row in rows]
     rows += [
         (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
         for joint, why in found.skipped.items()

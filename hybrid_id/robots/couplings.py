@@ -53,7 +53,8 @@ class GearCoupling:
         if least <= SINGULAR * most:
             rows = [list(row) for row in self.matrix]
             raise InputError(
-                f"The matrix {rows} of a coupling is singular: its motors leave a motion of the joints undetermined."
+                f"The matrix {rows} of a coupling is singular: its motors leave a motion of the joints undetermined; "
+                "give each motor a row of its own that says how far each joint turns it."
             )
 
     def motors_of(self, joint: int, gear_ratio: Mapping[int, float]) -> dict[int, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,8 @@ def _parsed(path: Path) -> tuple[Any, Any]:
 
 def _first_line(error: Exception) -> str:
     words = str(error).strip().splitlines()
-    return " ".join(words[:2])[:300].rstrip(".") or "it cannot be parsed"
+    plain = re.sub(r"^(XML )?Error: (Error: )?", "", " ".join(words[:2]))
+    return plain[:300].rstrip(".") or "it cannot be parsed"
 
 
 def _refuse(path: Path, mujoco: Any, spec: Any) -> None:

@@ -44,6 +44,9 @@ ALIKE, UNIT, ABSURD = 0.9, 5.0, 40.0
 wrong: 9.5 is a speed's in rpm, 57 an angle's in degrees, 1000 that of a time in ms."""
 RANGES = 3.0
 """Span of a joint's angle over its range in the robot's file, from which the angle's unit is wrong."""
+BESIDE, STEADY, NEAR = 1.4, 3.0, 0.1
+"""Least distance [rad] of an angle from its goal, and over how much it varies, from which its zero is doubted; and how
+near it lies to whole quarter turns that are meant."""
 INSTANTS, TURNED = 50, 0.5
 """Instants of a record between which motions are compared, and the negative correlation that casts doubt on a sign."""
 STILL = 1.2
@@ -52,7 +55,7 @@ FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
 FIRST_STEP = 0.1
 """First step as a share of the estimate, where no standard error is known."""
-CONTRADICT = ("unit", "sign")
+CONTRADICT = ("unit", "sign", "zero")
 """Codes of findings after which no table may follow: it would be confident of what means nothing."""
 
 
@@ -118,7 +121,7 @@ def check_scales(dataset: Dataset, system: System) -> list[Finding]:
 
 
 def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
-    """Doubts of the units of goals that angles follow, many times as far or hardly at all."""
+    """Doubts of goals that angles follow: many times as far, hardly at all, or a quarter turn and more beside them."""
     measured = {channel.name for channel in dataset.outputs}
     for joint, ratio in zip(system.joints, system.own_ratios, strict=True):
         goal, sides = f"goal{joint.number}", _sides(joint, ratio)
@@ -130,12 +133,35 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
         pairs = [
             (r.outputs[name] / (sides[name] * turns), r.inputs[goal]) for r in dataset if goal in r.inputs
         ]
-        if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
+        moves = [(a - a.mean(), b - b.mean()) for a, b in pairs]
+        if times := _times(moves):
             words = (
                 f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
                 "the dataset file (degrees?), or gear_ratio in the model file"
             )
             yield _of_unit(times, words, goal)
+        elif _alike(moves) >= ALIKE and (
+            beside := _beside([angle / (sides[name] * turns) - other for angle, other in pairs])
+        ):
+            zero = beside * sides[name] * turns
+            words = (
+                f"{name} stays {zero:.4g} rad beside {goal}, which it follows; where its encoder counts from "
+                f"elsewhere, write 'zero: {_turn(zero):.5g}' (in the file's unit) under 'columns' in the dataset file"
+            )
+            yield Finding("warning", "zero", words, channel=name)
+
+
+def _beside(apart: Sequence[np.ndarray]) -> float:
+    """How far [rad] angles stay beside their goals in all records; 0 where a loop that gives way may do it."""
+    every = np.concatenate(apart)
+    middle = float(np.median(every))
+    return middle if abs(middle) > max(BESIDE, STEADY * float(np.median(abs(every - middle)))) else 0.0
+
+
+def _turn(zero: float) -> float:
+    """The quarter turns that an angle [rad] is near to, or else itself."""
+    near = round(zero / (0.5 * np.pi)) * 0.5 * np.pi
+    return near if abs(near - zero) < NEAR else zero
 
 
 def _sides(joint: Joint, ratio: float | None) -> dict[str, float]:
@@ -202,10 +228,10 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
                 "otherwise; check its unit and that of the time, or correct the start values"
             )
             found.append(_of_unit(times, words, output))
-        if _turned([(_steps(a), _steps(b)) for a, b in pairs]):
+        if _alike([(_steps(a), _steps(b)) for a, b in pairs]) < -TURNED:  # as with the sign reversed
             words = (
                 f"{output} turns the other way than with the model's start values; if the sign of the sensor or of the "
-                "command is reversed, give its channel 'scale: -1' in dataset.yaml"
+                "command is reversed, give its channel 'scale: -1' under 'columns' in dataset.yaml"
             )
             found.append(Finding("warning", "sign", words, channel=output))
     return found
@@ -229,27 +255,21 @@ def _still(dataset: Dataset, system: System) -> list[str]:
 
 def _times(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     """Factor between two signals that are alike but for one that no start value explains; 0 where there is none."""
+    own, other = (float(sum(np.vdot(pair[k], pair[k]) for pair in pairs)) for k in (0, 1))
+    times = (own / other) ** 0.5 if _alike(pairs) >= ALIKE else 0.0
+    return times if times and max(times, 1.0 / times) > UNIT else 0.0
+
+
+def _alike(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Correlation of signals whose means, if any, are taken out; 0 where one stands still or is not finite."""
     both, own, other = (float(sum(np.vdot(p[i], p[j]) for p in pairs)) for i, j in ((0, 1), (0, 0), (1, 1)))
-    if (
-        not all(np.isfinite((both, own, other)))
-        or own <= 0
-        or other <= 0
-        or both < ALIKE * (own * other) ** 0.5
-    ):
-        return 0.0
-    times = (own / other) ** 0.5
-    return times if max(times, 1.0 / times) > UNIT else 0.0
+    known = np.isfinite((both, own, other)).all() and own > 0.0 and other > 0.0
+    return both / (own * other) ** 0.5 if known else 0.0
 
 
 def _steps(signal: np.ndarray) -> np.ndarray:
     """How far a signal goes from one of so many instants to the next: it may drift, and still turns as it does."""
     return np.diff(signal[:: max(1, len(signal) // INSTANTS)])
-
-
-def _turned(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:
-    """Whether signals go where their simulations do with the sign reversed."""
-    both, own, other = (float(sum(np.vdot(p[i], p[j]) for p in pairs)) for i, j in ((0, 1), (0, 0), (1, 1)))
-    return bool(np.isfinite(both) and both < -TURNED * (own * other) ** 0.5)
 
 
 def check_fit(study: Study) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from hybrid_id.components.base import Component, Input, Sensor
 from hybrid_id.components.friction.asymmetric_stribeck import AsymmetricStribeck
@@ -124,19 +125,27 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
     """
     ratios = [1.0] * len(tree.joints) if gear_ratio is None else [float(r) for r in gear_ratio]
     parts: list[tuple[str, Component]] = []
-    for number, (joint, r) in enumerate(zip(started(tree), ratios, strict=True), 1):
-        at = f"joint{number}"
-        parts += [
-            (f"{at}/input", TorqueCommand() if joint.servo is None else position_servo(joint.servo)),
-            (f"{at}/motor", TorqueMotor()),
-            (f"{at}/motor_friction", Coulomb(F_c=joint.friction_loss / r)),
-            (f"{at}/motor_friction", Viscous(F_v=joint.damping / r**2)),
-            (f"{at}/transmission", Rigid()),
-            (f"{at}/load", RotorInertia(J_m=joint.armature / r**2)),
-        ]
-        if joint.stiffness:
-            parts.append((f"{at}/load", Spring(k_s=joint.stiffness, q_s=joint.reference)))
+    for number, (joint, ratio) in enumerate(zip(started(tree), ratios, strict=True), 1):
+        try:
+            parts += [(f"joint{number}/{place}", one) for place, one in _drive(joint, ratio)]
+        except InputError as error:
+            where = Path(tree.source).name or "the robot's description"
+            raise InputError(f"{where}, joint '{joint.name}': {error}") from None
     return System(ratios, parts, joint_names(tree, parts), name="robot", tree=tree)
+
+
+def _drive(joint: TreeJoint, ratio: float) -> list[tuple[str, Component]]:
+    """The rigid drive of a joint by its description, its parameters seen at the motor."""
+    spring = [("load", Spring(k_s=joint.stiffness, q_s=joint.reference))] if joint.stiffness else []
+    return [
+        ("input", TorqueCommand() if joint.servo is None else position_servo(joint.servo)),
+        ("motor", TorqueMotor()),
+        ("motor_friction", Coulomb(F_c=joint.friction_loss / ratio)),
+        ("motor_friction", Viscous(F_v=joint.damping / ratio**2)),
+        ("transmission", Rigid()),
+        ("load", RotorInertia(J_m=joint.armature / ratio**2)),
+        *spring,
+    ]
 
 
 def position_servo(servo: Servo) -> PositionServo:

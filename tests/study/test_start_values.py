@@ -97,3 +97,20 @@ def test_a_goal_that_the_angle_follows_far_off_is_in_another_unit(
     servo = one_link(turns).with_component("joint1/input", PositionLoop())
     found = check_scales(dataset, servo)
     assert [(one.severity, one.channel) for one in found] == [(severity, "goal1")] * bool(severity)
+
+
+@pytest.mark.parametrize(
+    ("apart", "sags", "zero"),
+    [(6.28, 0.0, "6.2832"), (-1.57, 0.0, "-1.5708"), (2.5, 0.0, "2.4"), (0.3, 0.0, ""), (1.6, 2.0, "")],
+)
+def test_an_angle_a_quarter_turn_beside_its_goal_has_another_zero(
+    apart: float, sags: float, zero: str
+) -> None:
+    """A loop that gives way to a load stays beside its goal, too, and not by the same angle everywhere."""
+    goal = np.sin(9 * TIME)
+    angle = 0.99 * np.sin(9 * TIME - 0.1) + apart + sags * np.sin(9 * TIME)
+    record = Record("a", TIME, {"goal1": goal}, {"q_a1": angle})
+    dataset = Dataset("a", (Channel("goal1", "rad"),), (Channel("q_a1", "rad", NOISE),), (record,), 0.01)
+    found = check_scales(dataset, one_link(1.0).with_component("joint1/input", PositionLoop()))
+    assert [(one.code, one.channel) for one in found] == [("zero", "q_a1")] * bool(zero)
+    assert all(f"'zero: {zero}" in one.message for one in found)
