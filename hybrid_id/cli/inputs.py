@@ -24,8 +24,7 @@ def load_records(path: Path, config: StudyConfig | None = None) -> "Dataset":
     from dataclasses import replace
 
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.dataset_file import usual_sample_time
-    from hybrid_id.records.resample import resample_record
+    from hybrid_id.records.dataset_file import resampled
 
     dataset = Dataset.load(path)
     if config is None:
@@ -40,15 +39,8 @@ def load_records(path: Path, config: StudyConfig | None = None) -> "Dataset":
             records = tuple(record.between(*wish.between) for record in records)
     if wish.resample is None:
         return replace(dataset, records=records)
-    step = wish.resample.sample_time or dataset.sample_time or usual_sample_time(records)
-    pairs = [
-        resample_record(record, step, inputs=wish.resample.inputs, max_gap=wish.resample.max_gap)
-        for record in records
-    ]
-    reports = tuple(report for _, report in pairs)
-    return replace(
-        dataset, records=tuple(record for record, _ in pairs), sample_time=step, resampling=reports
-    )
+    step, records, reports = resampled(records, wish.resample, dataset.sample_time)
+    return replace(dataset, records=records, sample_time=step, resampling=reports)
 
 
 def refuse_errors(findings: "list[Finding]") -> None:

@@ -126,7 +126,12 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     _refuse_dead_outputs(outputs, records, file)
     sample_time, reports = spec.sample_time, ()
     if spec.resample:
-        sample_time, records, reports = _resample(records, spec.resample, sample_time, file)
+        if spec.resample.sample_time and sample_time and spec.resample.sample_time != sample_time:
+            raise InputError(
+                f"{file}: key 'resample.sample_time' is {spec.resample.sample_time:g} s where 'sample_time' is "
+                f"{sample_time:g} s; give one of them"
+            )
+        sample_time, records, reports = resampled(records, spec.resample, sample_time)
     elif "sample_time" not in spec.model_fields_set:
         sample_time = common_sample_time(records)
     return Content(spec.name, inputs, outputs, records, sample_time, path, reports)
@@ -320,15 +325,10 @@ def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> n
     return values if factor == 1 else factor * values
 
 
-def _resample(
-    records: tuple[Record, ...], options: ResampleEntry, sample_time: float | None, file: Path
+def resampled(
+    records: tuple[Record, ...], options: ResampleEntry, sample_time: float | None
 ) -> tuple[float, tuple[Record, ...], tuple[ResampleReport, ...]]:
-    """Bring all records to one grid: the step asked for, or the median one to 3 digits."""
-    if options.sample_time and sample_time and options.sample_time != sample_time:
-        raise InputError(
-            f"{file}: key 'resample.sample_time' is {options.sample_time:g} s where 'sample_time' is "
-            f"{sample_time:g} s; give one of them"
-        )
+    """Records on one grid, its step [s], and what was done to each: the step asked for, the dataset's, or the usual."""
     step = options.sample_time or sample_time or usual_sample_time(records)
     pairs = [
         resample_record(record, step, inputs=options.inputs, max_gap=options.max_gap) for record in records
