@@ -209,7 +209,8 @@ def _refuse_twice(params: Sequence[Any], words: list[str]) -> None:
     given = [word.partition("=")[0] for word in itertools.takewhile(lambda word: word != "--", words)]
     once = (one for one in params if one.param_type_name == "option" and not (one.multiple or one.is_flag))
     for one in once:
-        if sum(given.count(name) for name in one.opts) > 1:
+        attached = sum(word[:2] in one.opts and word[2:] != "" and word[1] != "-" for word in given)  # -oOUT
+        if attached + sum(given.count(name) for name in one.opts) > 1:
             raise InputError(f"{one.opts[0]} is given twice, and one counts; leave the other out")
 
 

@@ -36,6 +36,8 @@ RESULTS = (RESULT, DIAGNOSIS)
 MADE = {"identification": ("identify", RESULT), "diagnosis": ("diagnose", DIAGNOSIS)}
 """Commands whose fits are kept, and the file that says that all is written."""
 ASIDE = "earlier results are aside"
+WRITTEN = ".written"
+"""Names the files that complete results consist of; others in their folder are the user's, which nothing replaces."""
 FOREIGN = "files that are no results of hybrid-id; give another folder"
 
 
@@ -88,6 +90,10 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
     below = (file for name in RESULTS for file in path.rglob(name) if file.parent != path)
     if nested := next(filter(_is_ours, below), None):
         raise InputError(f"{path} holds other results, in {nested.parent}; move them, or give another folder")
+    if reads is not None and (own := _added(path)):
+        raise InputError(
+            f"{own[0]} is none of the results that would be replaced; move it, or give another folder"
+        )
 
 
 def refuse_foreign(path: Path, parts: str, pattern: str) -> None:
@@ -120,6 +126,21 @@ def only_begun(path: Path) -> bool:
     return (path / BEGUN).exists() and not any((path / name).exists() for name in (CHECKPOINT, *RESULTS))
 
 
+def _name_files(path: Path, but: Iterable[Path] = ()) -> None:
+    """Write down which files results consist of, as they are complete: all but those that were somebody's before."""
+    files = sorted({file for file in path.rglob("*") if file.is_file()} - {path / WRITTEN, *but})
+    (path / WRITTEN).write_text("".join(f"{file.relative_to(path)}\n" for file in files), encoding="utf-8")
+
+
+def _added(path: Path) -> list[Path]:
+    """Files in a folder of complete results that none of these are; what goes on with a run is left out."""
+    if not (path / WRITTEN).is_file():
+        return []
+    known = {*(path / WRITTEN).read_text(encoding="utf-8").splitlines(), WRITTEN, CHECKPOINT, BEGUN}
+    files = [file.relative_to(path) for file in sorted(path.rglob("*")) if file.is_file()]
+    return [path / f for f in files if str(f) not in known and f.parts[0] not in (FITS, EVENTS)]
+
+
 def _is_ours(file: Path) -> bool:
     try:
         return str(read_object(file, "result").get("program")).startswith("hybrid_id ")
@@ -141,6 +162,7 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
             new, old = temporary / "new", temporary / "old"
             new.mkdir()
             yield new
+            _name_files(new)
             refuse_taken(path, force=force)  # a long run: somebody may have written there meanwhile
             try:
                 if path.exists():
@@ -297,9 +319,6 @@ def kept_fits(
                 json.dumps({"program": f"hybrid_id {__version__}", "kind": noun}) + "\n", encoding="utf-8"
             )
             yield kept
-        except InputError:
-            shutil.rmtree(fits)  # the same command would end alike
-            raise
         except KeyboardInterrupt:
             if not kept.count:
                 raise
@@ -384,7 +403,7 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
         path.replace(aside)
         ours = True
     path.mkdir(exist_ok=True)
-    with sole_writer(path), _until_complete(path, aside if ours else None, made):
+    with sole_writer(path), _until_complete(path, aside if ours else None, made, _added(path)):
         if not resume:
             (path / BEGUN).write_text(ASIDE if ours else "")
             config.save(path / SETTINGS)
@@ -392,7 +411,7 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
 
 
 @contextmanager
-def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterator[None]:
+def _until_complete(path: Path, aside: Path | None, made: list[Path], own: list[Path]) -> Iterator[None]:
     """Bring back what was put aside when a run ends before its first checkpoint, remove it when one is complete."""
     try:
         yield
@@ -404,6 +423,7 @@ def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterato
             remove_empty(made)
         raise
     (path / BEGUN).unlink(missing_ok=True)
+    _name_files(path, but=own)
     if aside:
         shutil.rmtree(aside)
 

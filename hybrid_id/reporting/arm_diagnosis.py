@@ -47,7 +47,7 @@ from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
-from hybrid_id.reporting.units import in_unit, shown_unit
+from hybrid_id.reporting.units import geared, in_unit, shown_unit
 
 PAGE = "report.html"
 MOVED = 6
@@ -281,12 +281,15 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
 
 
 def _moved_values(found: ArmDiagnosis) -> Iterator[Moved]:
-    """Parameters of the joints' nominal drives as the fit of all joints has them, with 95 % intervals."""
-    for one in found.joints.values():
-        for info in one.details.nominal.table:
-            value, std = found.estimates.get(info.name, (0.0, 0.0))
-            if 0.0 < std < float("inf"):
-                yield info, value, (value - 1.96 * std, value + 1.96 * std)
+    """Parameters of the joints' nominal drives as the fit of all joints has them, with 95 % intervals.
+
+    What acts on all joints, which each of them carries, comes once.
+    """
+    every = {info.name: info for one in found.joints.values() for info in one.details.nominal.table}
+    for name, info in every.items():
+        value, std = found.estimates.get(name, (0.0, 0.0))
+        if 0.0 < std < float("inf"):
+            yield info, value, (value - 1.96 * std, value + 1.96 * std)
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) -> list[str]:
@@ -347,18 +350,19 @@ def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
 
 @journal()
 def joints_figure(found: ArmDiagnosis) -> Figure:
-    """RMSE of each joint's angles on the test records, of the three models; speeds have another unit."""
+    """RMSE of each joint's angles, seen at the joint, on the test records, of the three models."""
     models = _models(found)
     names = () if found.model.tree is None else found.model.tree.names
     measured = [] if found.refit_errors is None else list(found.refit_errors.rmse)
-    outputs = [one for one in measured if stem(one) in ("q_a", "q_m")]
+    outputs = [one for one in measured if stem(one) in ("q_a", "q_m")]  # speeds have another unit
+    shown = {one: 1e3 / (geared(one, found.model) or 1.0) for one in outputs}
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
     for name, errors in models.items():
-        values = [1e3 * errors.rmse[output] for output in outputs]
+        values = [shown[output] * errors.rmse[output] for output in outputs]
         axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
     for row, output in enumerate(outputs):
-        values = [1e3 * errors.rmse[output] for errors in models.values()]
+        values = [shown[output] * errors.rmse[output] for errors in models.values()]
         axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
     numbers = [number_of(output) for output in outputs]
     labels = [

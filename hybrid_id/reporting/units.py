@@ -32,12 +32,12 @@ def in_unit(
     ``("0.71", "0.4", "deg at the joint")``.
     """
     unit, factor = next((one.shown for one in outputs if one.name == channel), ("", 1.0))
-    ratio = _geared(channel, system)
+    ratio = geared(channel, system)
     where = f"{printed(unit)} at the joint" if ratio else printed(unit)
     return (*(f"{value * factor / (ratio or 1.0):.3g}" for value in values), where)
 
 
-def _geared(channel: str, system: System) -> float | None:
+def geared(channel: str, system: System) -> float | None:
     """Gear ratio between a motor's angle or speed and its joint that turns; None where there is none."""
     kinds = ["hinge"] * len(system.joints)
     if system.tree is not None:

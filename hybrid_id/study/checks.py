@@ -143,10 +143,11 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
         elif _alike(moves) >= ALIKE and (
             beside := _beside([angle / (sides[name] * turns) - other for angle, other in pairs])
         ):
-            zero = beside * sides[name] * turns
+            apart = _turn(beside * sides[name] * turns)
             words = (
-                f"{name} stays {zero:.4g} rad beside {goal}, which it follows; where its encoder counts from "
-                f"elsewhere, write 'zero: {_turn(zero):.5g}' (in the file's unit) under 'columns' in the dataset file"
+                f"{name} stays {apart:.5g} rad ({np.degrees(apart):.4g} deg) beside {goal}, which it follows; where "
+                "its encoder counts from elsewhere, give it that 'zero' under 'columns' in the dataset file, in unit "
+                "and sign of the file's own column"
             )
             yield Finding("warning", "zero", words, channel=name)
 
@@ -319,13 +320,14 @@ def _verdict(
         if len(outputs) > 1 and np.isfinite(worst):
             size += f" of {outputs[moving[int(np.argmax(typical))]]}"
         return f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"
-    largest = np.nanmax(np.where(np.isnan(errors), -np.inf, errors), axis=1)
-    out = [k for k, error in enumerate(largest) if error > max(1.0, FAR_OUT * float(np.median(largest)))]
+    largest = np.max(np.where(np.isnan(errors), 0.0, errors), axis=1, initial=0.0)
+    usual = float(np.median(largest[~np.isnan(errors).all(1)], axis=0)) if moving.size else 0.0
+    out = [k for k, error in enumerate(largest) if error > max(1.0, FAR_OUT * usual)]
     if not out:
         return ""
     return (
         f"{who} explain the records but for {listed([names[k] for k in out])} (normalised RMSE {largest[out[0]]:.3g}, "
-        f"median {np.median(largest):.2g}); check signs, units and columns there"
+        f"median {usual:.2g}); check signs, units and columns there"
     )
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+from torch.nn import Module
 
 from hybrid_id.components.base import Component, Shared
-from hybrid_id.components.input.delay import CommonDelay
+from hybrid_id.components.input.delay import CommonDelay, Delay
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
@@ -102,10 +103,14 @@ def some(system: System, joints: Sequence[int]) -> System:
     """
     tree, here = _tree(system), tuple(f"joint{joint + 1}/" for joint in joints)
     parts, moved = [], {}
+    late = [joint for joint in here if not _delayed(dict(system.components.items()), joint)]
     for key, part in system.components.items():
         own = key.startswith(here)
         if own or isinstance(part, EVERYWHERE):
-            there = key if own else here[0] + key.split("/", 1)[1]
+            if isinstance(part, CommonDelay) and not late:
+                continue  # each of them has a delay of its own instead
+            first = late[0] if isinstance(part, CommonDelay) else here[0]
+            there = key if own else first + key.split("/", 1)[1]
             if there in moved.values():
                 kind = cast(Component, part).kind
                 raise InputError(
@@ -130,19 +135,53 @@ def together(one: System) -> System:
 
 
 def with_drive(whole: System, one: System) -> System:
-    """A robot with the drives that :func:`some` took out of it instead of its own."""
+    """A robot with the drives that :func:`some` took out of it instead of its own.
+
+    What acts on all joints is as the first of them says that has moved it: one that does not feel a floor leaves it
+    where it was.
+    """
     here = tuple(f"{joint.name}/" for joint in one.joints)
-    was = {_what(part): key for key, part in one.whole[0].components.items() if isinstance(part, EVERYWHERE)}
-    parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
+    before = one.whole[0].components
+    was = {_what(part): key for key, part in before.items() if isinstance(part, EVERYWHERE)}
+    parts = {
+        key: part
+        for key, part in whole.components.items()
+        if not key.startswith(here) or isinstance(part, EVERYWHERE)
+    }
     taken = {
         _what(part) for key, part in parts.items() if isinstance(part, Shared) and key not in was.values()
     }
     for key, part in one.components.items():
         if isinstance(part, Shared) and _what(part) in taken:
             continue  # another joint has said what is there, which acts on all that carry it
-        parts[was.get(_what(part), key)] = part
-    placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
+        place = was.get(_what(part), key)
+        if place not in parts or _sizes(parts[place]) == _sizes(before[place]):
+            parts[place] = part
+    placed = [
+        (key.rpartition("/")[0], copy.deepcopy(cast(Component, part)))
+        for key, part in _with_common_delay_beside(parts).items()
+    ]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
+
+
+def _sizes(part: object) -> dict[str, float]:
+    return {symbol: spec.value for symbol, spec in cast(Component, part).specs.items()}
+
+
+def _delayed(parts: Mapping[str, Module], joint: str) -> bool:
+    """Whether a joint, ``joint2/``, has a delay of its own."""
+    return any(key.startswith(joint) and isinstance(part, Delay) for key, part in parts.items())
+
+
+def _with_common_delay_beside(parts: Mapping[str, Module]) -> Mapping[str, Module]:
+    """Components whose common dead time is listed at a joint that has none of its own, where there is one."""
+    key = next((key for key, part in parts.items() if isinstance(part, CommonDelay)), "")
+    others = {name.split("/")[0] + "/" for name in parts}
+    if not key or not _delayed(parts, key.split("/")[0] + "/"):
+        return parts
+    free = sorted(joint for joint in others if not _delayed(parts, joint))
+    moved = {free[0] + key.split("/", 1)[1]: parts[key]} if free else {}
+    return {name: part for name, part in parts.items() if name != key} | moved
 
 
 def _what(part: object) -> tuple[str, str]:

@@ -155,6 +155,7 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "picture of another kind": ("excite --out {out} --plot {out}.jpg", nothing, ("--plot", ".png")),
     "an option twice": ("check {data} --joint a --joint=b", nothing, ("--joint", "twice")),
     "an option twice in another name": ("identify {data} -m a --model b --out {out}", nothing, ("--model", "twice")),
+    "an option twice, its value attached": ("identify {data} -oa -ob", nothing, ("--out", "twice")),
     "an option twice of a command's command": ("blind run {data} --out a --out b", nothing, ("--out", "twice")),
     "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "no tone": ("excite --tones 0 --out {out}", nothing, ("--tones",)),

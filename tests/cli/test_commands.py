@@ -226,6 +226,7 @@ def test_identify_writes_everything(identified: tuple[Path, str], tmp_path: Path
         *(f"fit_run_{k}.png" for k in range(4)),
     }
     assert names == pictures | {
+        ".written",
         "result.json",
         "parameters.csv",
         "model.yaml",
@@ -377,6 +378,8 @@ def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: 
     assert run("simulate", drive, "--model", drive / "gone.yaml", "--out", out, "--force").code == 2
     assert (out / "result.json").read_text() == first
     (out / "stale.txt").write_text("of the first run")
+    with (out / ".written").open("a") as names:
+        names.write("stale.txt\n")
     assert run("simulate", drive, "--out", out).code == 2
     assert run("simulate", drive, "--out", out, "--force").code == 0
     assert not (out / "stale.txt").exists()
@@ -491,6 +494,33 @@ def test_results_come_back_where_new_ones_cannot_take_their_name(
     assert (out / "result.json").exists() and [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+def test_force_never_takes_a_file_that_the_user_has_put_beside_the_results(tmp_path: Path) -> None:
+    out, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
+
+    def written(place: Path) -> None:
+        (place / "result.json").write_text('{"program": "hybrid_id 0"}')
+
+    def trained(force: bool, resume: bool = False) -> None:
+        with live_folder(out, config, force=force, resume=resume), added_results(out) as folder:
+            (out / CHECKPOINT).write_text("weights")
+            written(folder)
+
+    with results_folder(out, force=False) as folder:
+        written(folder)
+    for again in (lambda: refuse_taken(out, force=True), lambda: trained(force=True)):
+        (out / "notes.txt").write_text("mine")
+        with pytest.raises(InputError, match=r"notes\.txt is none of the results .* move it"):
+            again()
+        assert (out / "notes.txt").read_text() == "mine"
+        (out / "notes.txt").unlink()
+        again()
+    (out / "notes.txt").write_text("mine")
+    trained(force=False, resume=True)  # which fills the folder further, and replaces nothing
+    assert (out / "notes.txt").read_text() == "mine"
+    with pytest.raises(InputError, match=r"notes\.txt is none of the results"):
+        refuse_taken(out, force=True)
+
+
 def test_a_training_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) -> None:
     out, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
     out.mkdir()
@@ -508,7 +538,7 @@ def test_live_folder_brings_the_old_results_back(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), live_folder(out, config, force=True, resume=False):
         (out / "events").write_text("new")
         raise ZeroDivisionError
-    assert [path.name for path in out.iterdir()] == ["result.json"]
+    assert sorted(path.name for path in out.iterdir()) == [".written", "result.json"]
     with live_folder(out, config, force=True, resume=False), added_results(out) as folder:
         (folder / "result.json").write_text("new")
         (folder / "models").mkdir()

@@ -24,10 +24,11 @@ from hybrid_id.config import load_config
 from hybrid_id.diagnosis.next_experiment import next_experiment
 
 FILES = {
+    ".written",
     "candidates.png", "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
     "refit.yaml", "report.html", "reversals.png", "shares.png", "tensorboard", "torque_map.png", "worst_record.png",
 }  # fmt: skip
-PLAIN = {"config.yaml", "diagnosis.json", "model.yaml", "refit.yaml"}
+PLAIN = {".written", "config.yaml", "diagnosis.json", "model.yaml", "refit.yaml"}
 """Without pictures, events and page."""
 
 IMPORTING = """

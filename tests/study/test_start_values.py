@@ -113,4 +113,4 @@ def test_an_angle_a_quarter_turn_beside_its_goal_has_another_zero(
     dataset = Dataset("a", (Channel("goal1", "rad"),), (Channel("q_a1", "rad", NOISE),), (record,), 0.01)
     found = check_scales(dataset, one_link(1.0).with_component("joint1/input", PositionLoop()))
     assert [(one.code, one.channel) for one in found] == [("zero", "q_a1")] * bool(zero)
-    assert all(f"'zero: {zero}" in one.message for one in found)
+    assert all(f"stays {zero}" in one.message for one in found)

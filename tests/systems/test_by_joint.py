@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hybrid_id.components import FloorContact, JointFlexibility, LinearSpring, Stribeck
+from hybrid_id.components.input.delay import CommonDelay, Delay
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -208,6 +209,31 @@ def test_what_was_found_of_a_joint_goes_back_into_the_robot(tmp_path: Path) -> N
     found = load_model(tmp_path / "found.yaml")
     assert found.tree == system.tree
     assert found.parameter("F_c_lift").spec.value == 0.07
+
+
+def test_a_joint_that_does_not_feel_what_acts_on_all_leaves_what_another_has_found(tmp_path: Path) -> None:
+    system = arm(tmp_path).with_component("joint3/load", FloorContact("tip", z_f=-0.36, k_f=300.0))
+    lift, elbow = alone(system, 1).with_values({"z_f": -0.3}), alone(system, 2)
+    for first, then in ((lift, elbow), (elbow, lift)):
+        assert with_drive(with_drive(system, first), then).parameter("z_f_elbow").spec.value == -0.3
+
+
+def test_a_delay_of_its_own_stays_beside_that_of_all_joints(tmp_path: Path) -> None:
+    """Wherever that of all is listed: a joint that lists both would lose one of them."""
+
+    def delays(one: System) -> dict[str, float]:
+        return {i.component: i.spec.value for i in one.table if i.symbol == "T_d"}
+
+    system = arm(tmp_path).with_component("joint2/input", Delay(T_d=0.01))
+    system = system.with_component("joint3/input", CommonDelay(T_d=0.02))
+    expected = {"joint2/input/delay": 0.01, "joint3/input/common_delay": 0.02}
+    assert delays(alone(system, 1)) == {"joint2/input/delay": 0.01}
+    assert delays(some(system, [1, 2])) == expected
+    assert delays(with_drive(system, alone(system, 1))) == expected
+    late = alone(system, 2).with_component("joint3/input", Delay(T_d=0.03))
+    assert delays(late) == {"joint3/input/delay": 0.03}
+    back = delays(with_drive(system, late))
+    assert back == {"joint1/input/common_delay": 0.02, "joint2/input/delay": 0.01, "joint3/input/delay": 0.03}
 
 
 def flexible(folder: Path) -> System:
