@@ -444,7 +444,11 @@ def _runs_in(folder: Path, order: Sequence[str]) -> dict[str, dict[str, Any]]:
     """What each method's run in a folder is about."""
     by_method = {method: _complete(folder / method) for method in order if (folder / method).is_dir()}
     if not by_method:
-        raise InputError(f"{folder} holds no run; 'hybrid-id blind run CASES --out {folder}' makes one")
+        cases = (folder / "manifest.json").exists()
+        command = f"{folder} --out RUNS" if cases else f"CASES --out {folder}"
+        raise InputError(
+            f"{folder} holds {'cases and ' if cases else ''}no run; 'hybrid-id blind run {command}' makes one"
+        )
     manifest = next(iter(by_method.values()))["cases"]
     if any(about["cases"] != manifest for about in by_method.values()):
         raise InputError(f"the runs in {folder} are of different cases; give each a folder of its own")

@@ -86,6 +86,7 @@ def joint_alone(dataset: "Dataset", path: Path | None, source: Path, name: str) 
         )
     from hybrid_id.systems.by_joint import (
         alone,
+        check_angles,
         joint_number,
         moves,
         moving_records,
@@ -96,6 +97,7 @@ def joint_alone(dataset: "Dataset", path: Path | None, source: Path, name: str) 
     if robot.tree is None:
         raise InputError(f"{path}: --joint takes a joint of a robot, whose description the model names")
     joint = joint_number(robot, name)
+    check_angles(dataset, robot)
     if dataset.train and not any(moves(record, joint) for record in dataset.train):
         raise InputError(
             f"Joint '{name}' stands still in all train records of {source}; record motions of it, or check the others"

@@ -102,10 +102,10 @@ def excite(
 
     system = None if model is None or gear is not None else robot_of(model)
     if system is None:
-        if (gear is None) != (model is None):
-            raise InputError("--gear and --model go together; give both or none, or the model of a robot")
         if speed or torque or share is not None:
             raise InputError("--speed, --torque and --share belong to a robot's joints; give its --model")
+        if (gear is None) != (model is None):
+            raise InputError("--gear and --model go together; give both or none, or the model of a robot")
     elif amplitude is not None:
         raise InputError(
             "--amplitude belongs to one drive; a robot's joints have --speed, --torque and --share"

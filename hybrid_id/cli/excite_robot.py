@@ -91,6 +91,8 @@ def _by_joint(given: Sequence[str], names: Sequence[str], option: str) -> dict[s
                 f"{option} {words}: the robot has no joint '{name}'{close_match(name, names)}; it has "
                 f"{', '.join(names)}."
             )
+        if name in found:
+            raise InputError(f"{option} is given twice for {name or 'all joints'}; keep one of them")
         try:
             found[name] = float(value)
         except ValueError:

@@ -64,19 +64,15 @@ def fleet(
     check_backend(backend, scheduler)
     home = required(out)
     refuse_foreign(home, ROBOTS, "*.json")
-    if not robots.is_dir():
-        raise InputError(
-            f"{robots} is no folder; name the one that holds a folder with records for each robot"
-        )
     model = model or robots / "model.yaml"
-    if not model.exists():
+    if robots.is_dir() and not model.exists():
         raise InputError(f"{model} does not exist; name the model of all robots with --model")
     from hybrid_id.study import Horizon
 
     wish = "auto" if window is None else window
     horizon = Horizon.of(wish)
-    system = read_model(model)
     datasets = read_fleet(robots)
+    system = read_model(model)
     check_window(wish, datasets[0].train)
     use_threads(1)
     make_folder(home / ROBOTS)

@@ -36,6 +36,8 @@ RESULTS = (RESULT, DIAGNOSIS)
 MADE = {"identification": ("identify", RESULT), "diagnosis": ("diagnose", DIAGNOSIS)}
 """Commands whose fits are kept, and the file that says that all is written."""
 ASIDE = "earlier results are aside"
+DATASET, MOST_BYTES = "dataset.yaml", 10_000_000
+"""Name of a dataset file, and size beyond which none is."""
 WRITTEN = ".written"
 """Names the files that complete results consist of; others in their folder are the user's, which nothing replaces."""
 FOREIGN = "files that are no results of hybrid-id; give another folder"
@@ -250,12 +252,28 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
         raise InputError(
             f"{which} is a folder; give {'the name of a file' if beside is None else 'another name'}"
         )
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise InputError(f"{which} is a link or no regular file; give the name of a file of its own")
     if path.exists() and not force:
         both = "" if beside is None else " to replace both"
         raise InputError(f"{which} exists; give another name than {named.name}, or --force{both}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():
         raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+    if path.exists() and _is_listed(path):
+        raise InputError(
+            f"{path} is a record of the dataset beside it, which nothing replaces; give another name"
+        )
     announce(path)
+
+
+def _is_listed(path: Path) -> bool:
+    """Whether a dataset file beside a file names it."""
+    beside = path.with_name(DATASET)
+    return (
+        beside.is_file()
+        and beside.stat().st_size < MOST_BYTES
+        and path.name in beside.read_text("utf-8", "replace")
+    )
 
 
 def kind_of(path: Path) -> str:
@@ -286,6 +304,8 @@ def kept_fits(
     from hybrid_id.reporting.provenance import program
     from hybrid_id.study import Kept
 
+    if resume and force:
+        raise InputError("--resume goes on with what is kept, --force begins anew; leave one of them out")
     fits = home / FITS
     kind, (command, file) = _kind(fits), MADE[noun]
     if resume and fits.is_dir():
@@ -373,6 +393,8 @@ def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:
 
 def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> None:
     """Raise InputError where a training can neither begin nor go on, before anything is computed."""
+    if resume and force:
+        raise InputError("--resume goes on with what is kept, --force begins anew; leave one of them out")
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
     # what was killed before its first checkpoint has nothing to lose

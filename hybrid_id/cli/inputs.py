@@ -122,6 +122,7 @@ def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
     from hybrid_id.study import check_scales
 
     system, stage = read_model(config.model), config.previous
+    system.check_outputs([channel.name for channel in dataset.outputs])
     odd = check_scales(dataset, system)
     refuse_errors(odd)
     for finding in odd:

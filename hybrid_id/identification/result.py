@@ -16,9 +16,9 @@ from hybrid_id.systems.chain import System
 
 MESSAGES = {
     "converged": "converged: the next step would be shorter than the tolerance (0.01 standard errors if not set)",
-    "stalled": "no step lowers the cost any more; check the start values, or try more starts",
+    "stalled": "no step lowers the cost any more; check the start values, or try others",
     "max_iterations": "iterations or restarts used up before convergence; raise max_iterations in a study file, or try "
-    "more starts",
+    "other start values",
     "interrupted": "stopped by the user; the values are those of the last step",
     "diverged": "the simulation diverged at the start values; correct units, signs or start values",
 }

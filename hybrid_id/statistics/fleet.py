@@ -59,7 +59,7 @@ class Fleet:
         odd: robots and parameters that stand out (n, p) bool.
         odd_fit: robots whose error of fit stands out (n,) bool.
         misfit: error of fit of each robot over the fleet's median (n,).
-        held: parameters that their priors hold (p,) bool; nothing is said of them but the mean of the estimates.
+        held: parameters that their priors hold (p,) bool; of them only the mean of the estimates that count is said.
     """
 
     mean: np.ndarray
@@ -148,7 +148,7 @@ def fleet(
         return among_all(found * size[free], otherwise)
 
     return Fleet(
-        mean=whole(state.mean * known, own.mean(0)),
+        mean=whole(state.mean * known, own[kept].mean(0)),
         mean_error=whole(state.mean_error * known),
         mean_interval=whole(np.array([-reach, reach]) + state.mean).T,
         spread=whole(between * known),

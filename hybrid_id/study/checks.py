@@ -44,9 +44,11 @@ ALIKE, UNIT, ABSURD = 0.9, 5.0, 40.0
 wrong: 9.5 is a speed's in rpm, 57 an angle's in degrees, 1000 that of a time in ms."""
 RANGES = 3.0
 """Span of a joint's angle over its range in the robot's file, from which the angle's unit is wrong."""
-BESIDE, STEADY, NEAR = 1.4, 3.0, 0.1
-"""Least distance [rad] of an angle from its goal, and over how much it varies, from which its zero is doubted; and how
-near it lies to whole quarter turns that are meant."""
+LITTLE = 0.5
+"""Correlation of an angle with its goal up to which it may be another joint's."""
+BESIDE, STEADY, NEAR, QUARTER = 0.3, 3.0, 0.1, 1.4
+"""Least distance [rad] of an angle from its goal, and over how much it varies, from which its zero is doubted; how near
+it lies to whole quarter turns that are meant; and from where on no load explains it."""
 INSTANTS, TURNED = 50, 0.5
 """Instants of a record between which motions are compared, and the negative correlation that casts doubt on a sign."""
 STILL = 1.2
@@ -55,7 +57,7 @@ FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
 FIRST_STEP = 0.1
 """First step as a share of the estimate, where no standard error is known."""
-CONTRADICT = ("unit", "sign", "zero")
+CONTRADICT = ("unit", "sign", "zero", "columns")
 """Codes of findings after which no table may follow: it would be confident of what means nothing."""
 
 
@@ -130,26 +132,40 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
             continue
         # of the joint, for one of the side that the loop reads
         turns = 1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio
-        pairs = [
-            (r.outputs[name] / (sides[name] * turns), r.inputs[goal]) for r in dataset if goal in r.inputs
-        ]
-        moves = [(a - a.mean(), b - b.mean()) for a, b in pairs]
-        if times := _times(moves):
+        found = {
+            other.number: [
+                (r.outputs[name] / (sides[name] * turns), r.inputs[f"goal{other.number}"])
+                for r in dataset
+                if f"goal{other.number}" in r.inputs
+            ]
+            for other in system.joints
+        }
+        moves = {k: [(a - a.mean(), b - b.mean()) for a, b in pairs] for k, pairs in found.items()}
+        alike = {k: _alike(pairs) for k, pairs in moves.items()}
+        own, likest = alike.pop(joint.number), max(alike, key=alike.__getitem__, default=0)
+        if times := _times(moves[joint.number]):
             words = (
                 f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
                 "the dataset file (degrees?), or gear_ratio in the model file"
             )
             yield _of_unit(times, words, goal)
-        elif _alike(moves) >= ALIKE and (
-            beside := _beside([angle / (sides[name] * turns) - other for angle, other in pairs])
-        ):
+        elif own <= -ALIKE:
+            words = (
+                f"{name} moves against {goal}, which it should follow; give one of them 'scale: -1' under 'columns' in "
+                "the dataset file"
+            )
+            yield Finding("warning", "sign", words, channel=name)
+        elif own < LITTLE and alike and alike[likest] >= ALIKE:
+            words = f"{name} follows goal{likest} and not {goal}; check which columns of the dataset file they are"
+            yield Finding("warning", "columns", words, channel=name)
+        elif own >= ALIKE and (beside := _beside([angle - other for angle, other in found[joint.number]])):
             apart = _turn(beside * sides[name] * turns)
             words = (
                 f"{name} stays {apart:.5g} rad ({np.degrees(apart):.4g} deg) beside {goal}, which it follows; where "
                 "its encoder counts from elsewhere, give it that 'zero' under 'columns' in the dataset file, in unit "
                 "and sign of the file's own column"
             )
-            yield Finding("warning", "zero", words, channel=name)
+            yield Finding("warning", "zero" if abs(apart) >= QUARTER else "beside", words, channel=name)
 
 
 def _beside(apart: Sequence[np.ndarray]) -> float:

@@ -100,10 +100,15 @@ class FleetStudy:
         of, specs = self.fleet, {}
         for k, name in enumerate(self.names):
             spec = self.system.parameter(name).spec
-            if np.isfinite(of.mean_error[k]):
-                value = float(np.clip(of.mean[k], spec.lower, spec.upper))
+            value = float(np.clip(of.mean[k], spec.lower, spec.upper))
+            if of.held[k]:  # by the model's own prior, which stays: the others' means belong to this value
+                specs[name] = replace(spec, value=value)
+            elif np.isfinite(of.mean_error[k]):
                 std = max(float(np.hypot(of.spread[k], of.mean_error[k])), NARROW * abs(value))
-                specs[name] = replace(spec, value=value, prior_mean=value, prior_std=std)
+                # one that is 0 in all robots starts at its standard deviation, which says how large it may be
+                start = value or float(np.clip(std, spec.lower, spec.upper))
+                if start:
+                    specs[name] = replace(spec, value=start, prior_mean=value, prior_std=std)
         return self.system.with_specs(specs)
 
 

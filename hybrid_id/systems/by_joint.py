@@ -203,6 +203,7 @@ def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Data
     Raises:
         InputError: an angle of another joint was not measured.
     """
+    system.check_outputs([channel.name for channel in dataset.outputs])
     own = [str(joint + 1) for joint in joints]
     inputs, outputs = (
         tuple(c for c in channels if number_of(c.name) in own)
@@ -347,7 +348,11 @@ def measured_motion(
 
 
 def check_angles(dataset: Dataset, system: System) -> None:
-    """Raise InputError where a joint's angle, which the motion of a robot's others depends on, was not measured."""
+    """Raise InputError where a joint's angle, which the motion of a robot's others depends on, was not measured.
+
+    Or where records hold a joint that the robot has not: a held one, after which all others count one lower.
+    """
+    system.check_outputs([channel.name for channel in dataset.outputs])
     measured = {channel.name for channel in dataset.outputs}
     for k, joint in enumerate(system.joints):
         if not joint.motors and not {f"q_m{joint.number}", f"q_a{joint.number}"} & measured:

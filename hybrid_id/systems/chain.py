@@ -345,24 +345,34 @@ class System(nn.Module):
                 found.append((joint.sensing.lag_row, going))
         return found
 
+    def check_outputs(self, names: Sequence[str]) -> None:
+        """Raise InputError for an output of a joint that the system does not have."""
+        for name in names:
+            self._placed(name)
+
+    def _placed(self, name: str) -> tuple[str, int]:
+        """Channel and joint's number of an output's name."""
+        channel = name.rstrip("0123456789")
+        number = int(name[len(channel) :] or 0)
+        if number not in self._numbers:
+            ends = f"a number up to {len(self.joints)}" if self.seats is None else f"{self._numbers[0]}"
+            held = [] if self.tree is None else list(self.tree.held)
+            cure = (
+                f"{', '.join(held)}, held in the model, {'have' if len(held) > 1 else 'has'} no number: number the "
+                "columns without, or take 'hold' out"
+                if held
+                else "take a model of that joint, or leave the output out of the dataset"
+            )
+            raise InputError(
+                f"Output '{name}' names no joint of {self.name}, whose outputs end in {ends}; {cure}."
+            )
+        return channel, number
+
     def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:
         """Measured outputs by name (``q_m1``, ``i1`` ...; ``r_motor1``: of the network there), ``(B,)`` each."""
         found, torques = [], None
         for name in names:
-            channel = name.rstrip("0123456789")
-            number = int(name[len(channel) :] or 0)
-            if number not in self._numbers:
-                ends = f"a number up to {len(self.joints)}" if self.seats is None else f"{self._numbers[0]}"
-                held = [] if self.tree is None else list(self.tree.held)
-                cure = (
-                    f"{', '.join(held)}, held in the model, {'have' if len(held) > 1 else 'has'} no number: number the "
-                    "columns without, or take 'hold' out"
-                    if held
-                    else "take a model of that joint, or leave the output out of the dataset"
-                )
-                raise InputError(
-                    f"Output '{name}' names no joint of {self.name}, whose outputs end in {ends}; {cure}."
-                )
+            channel, number = self._placed(name)
             joint = self.joint(number)
             if channel != "tau_a":
                 found.append(joint.output(channel, x, u, p))

@@ -208,7 +208,10 @@ def _known(file: ModelFile, path: str) -> System:
 
 
 def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
-    """Put the listed components into their places; one in a single place takes the default's."""
+    """Put the listed components into their places; one in a single place takes the default's.
+
+    Of one that is there already the file may name some parameters; the others stay.
+    """
     listed: set[tuple[str, str]] = set()
     singles: dict[tuple[str, type], str] = {}
     joints = [f"joint{n + 1}" for n in range(len(file.gear_ratio))]
@@ -219,6 +222,7 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
                 f"{path}: components lists {entry.kind} at {entry.place} twice; keep one of them."
             )
         listed.add(key)
+        usual = parts.get(key, {})  # of the same kind: what the file does not name stays as it was
         if kind.single:
             family = kind.family()
             if other := singles.get((entry.place, family)):
@@ -231,7 +235,7 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
                 key for key in parts if key[0] == entry.place and issubclass(REGISTRY[key[1]], family)
             ]:
                 del parts[old]
-        parts[key] = {
+        parts[key] = usual | {
             symbol: _bounded(kind, symbol, value, f"{path}: {entry.place} {entry.kind}.{symbol}")
             for symbol, value in entry.parameters.items()
         }
@@ -318,6 +322,11 @@ def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: s
         raise InputError(
             f"{where}: its range [{spec.lower:g}, {spec.upper:g}] leaves the physical range "
             f"[{declared.lower:g}, {declared.upper:g}]; narrow it."
+        )
+    if not declared.lower <= spec.value <= declared.upper and math.isfinite(spec.value):
+        raise InputError(
+            f"{where} = {spec.value:g} {spec.unit} lies outside its physical bounds [{declared.lower:g}, "
+            f"{declared.upper:g}]; give a value inside."
         )
     spec.check(where)
     if spec.estimate and spec.lower == spec.upper:

@@ -157,6 +157,14 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "an option twice in another name": ("identify {data} -m a --model b --out {out}", nothing, ("--model", "twice")),
     "an option twice, its value attached": ("identify {data} -oa -ob", nothing, ("--out", "twice")),
     "an option twice of a command's command": ("blind run {data} --out a --out b", nothing, ("--out", "twice")),
+    "options that contradict each other": (
+        "identify {data} --pooled --per-record --out {out}", nothing, ("--pooled", "--per-record", "contradict")
+    ),
+    "resume and force": (
+        "identify {data} --model {model} --out {out} --resume --force", nothing, ("--resume", "--force")
+    ),
+    "a record in the way": ("excite --starts 1 --out {data}/rec_0.csv --force", nothing, ("record of the dataset",)),
+    "a device in the way": ("excite --starts 1 --out /dev/full --force", nothing, ("no regular file",)),
     "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "no tone": ("excite --tones 0 --out {out}", nothing, ("--tones",)),
     "endless signal": ("excite --duration 1e9 --out {out}", nothing, ("--duration",)),

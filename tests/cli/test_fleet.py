@@ -11,8 +11,10 @@ import pytest
 from browser import look_at
 from drives import make_records, multisine, rigid_drive
 
+from hybrid_id import one_link
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study import fleet as fleets
+from hybrid_id.study.fleet import RobotFit, gather
 from hybrid_id.systems.model_file import load_model, save_model
 
 HEAVY = "robot_4"
@@ -74,6 +76,28 @@ def test_the_fleets_model_expects_one_more_robot(result: Path) -> None:
         found["J"]["mean"]
     )
     assert spec.prior_std is not None and spec.prior_std >= found["J"]["spread"]
+
+
+def test_a_parameter_that_is_zero_in_all_robots_is_expected_to_be_small() -> None:
+    """And one that the model's prior holds keeps the value that the others' means belong to, with that prior."""
+    drive = one_link(50.0)
+    specs = {i.name: replace(i.spec, estimate=i.name in ("F_v", "P_m1")) for i in drive.table}
+    specs["P_m1"] = replace(specs["P_m1"], prior_std=1e-5)
+    system = drive.with_specs(specs)
+    names = [system.table[k].name for k in system.estimated]
+    at = {"P_m1": 1.001 * system.parameter("P_m1").spec.value, "F_v": 0.0}
+    values = tuple(at[name] for name in names)
+    hessian, errors = (
+        tuple(map(tuple, np.diag([sizes[name] for name in names]).tolist()))
+        for sizes in ({"P_m1": 1.0, "F_v": 1e14}, {"P_m1": 0.0, "F_v": 1e-14})
+    )
+    robots = [RobotFit(f"r{k}", ("a",), (values,), (hessian,), (errors,), 1.0) for k in range(3)]
+    expected = gather(system, robots).fleet_model()
+    assert expected.parameter("P_m1").spec.value == at["P_m1"]
+    assert expected.parameter("P_m1").spec.prior_std == 1e-5
+    friction = expected.parameter("F_v").spec
+    assert friction.prior_mean == 0.0 and friction.prior_std is not None
+    assert 0.0 < friction.value == friction.prior_std < 1e-6
 
 
 def test_kept_robots_are_not_fitted_again(

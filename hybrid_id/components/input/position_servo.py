@@ -3,7 +3,8 @@
 import torch
 
 from hybrid_id.components.base import ServoLoop
-from hybrid_id.parameters import Parameter
+from hybrid_id.errors import InputError
+from hybrid_id.parameters import Bounded, Parameter
 
 
 class PositionServo(ServoLoop):
@@ -41,6 +42,14 @@ class PositionServo(ServoLoop):
     e_0 = Parameter(0.0, upper=1.0, unit="rad", doc="dead band of the error", estimate=False)
     goal_min = Parameter(-1e4, lower=-1e5, upper=1e5, unit="rad", doc="least goal", estimate=False)
     goal_max = Parameter(1e4, lower=-1e5, upper=1e5, unit="rad", doc="largest goal", estimate=False)
+
+    def __init__(self, **values: float | Bounded) -> None:
+        super().__init__(**values)
+        low, high = (self.specs[name].value for name in ("goal_min", "goal_max"))
+        if not low < high:
+            raise InputError(
+                f"{self.kind}: goal_min {low:g} rad is not below goal_max {high:g} rad; swap them."
+            )
 
     def aim(self, p, channels):
         return torch.maximum(torch.minimum(channels["goal"], p.goal_max), p.goal_min)

@@ -2,7 +2,8 @@
 
 from hybrid_id.components.base import Effect, LoadTorque
 from hybrid_id.components.site import free
-from hybrid_id.parameters import Parameter
+from hybrid_id.errors import InputError
+from hybrid_id.parameters import Bounded, Parameter
 
 TAUT = "slow motion both ways over the whole range: a cable pulls beyond one angle alone, a {} all over the range"
 
@@ -37,6 +38,11 @@ class Cable(LoadTorque):
         smoothness="kinks where it is taut",
         shape={"s_c": "k_c"},
     )
+
+    def __init__(self, **values: float | Bounded) -> None:
+        super().__init__(**values)
+        if self.specs["s_c"].value == 0.0:
+            raise InputError("cable: s_c is 0; give 1 (it tightens as the angle grows) or -1.")
 
     def torque(self, p, angle, speed):
         return p.s_c * p.k_c * (p.s_c * (angle - p.q_c)).clamp_min(0.0)
