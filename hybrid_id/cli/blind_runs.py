@@ -447,7 +447,7 @@ def _runs_in(folder: Path, order: Sequence[str]) -> dict[str, dict[str, Any]]:
         cases = (folder / "manifest.json").exists()
         command = f"{folder} --out RUNS" if cases else f"CASES --out {folder}"
         raise InputError(
-            f"{folder} holds {'cases and ' if cases else ''}no run; 'hybrid-id blind run {command}' makes one"
+            f"{folder} holds no run{', but cases' if cases else ''}; 'hybrid-id blind run {command}' makes one"
         )
     manifest = next(iter(by_method.values()))["cases"]
     if any(about["cases"] != manifest for about in by_method.values()):

@@ -384,7 +384,8 @@ def _ranges(system: "System", file: Path, out: Path) -> Made:
     result = file.with_name(RESULT)
     if not result.is_file():
         remark(
-            "there is no result of an identification beside this model: only its priors say how far it may be off"
+            "there is no result of an identification beside this model: only its priors say how far it may be off, and "
+            "of what has none nothing does"
         )
     found = to_ranges(system, read_result(result) if result.is_file() else None)
     if lost := [name for name, one in found["parameters"].items() if one["from"] == "unknown"]:

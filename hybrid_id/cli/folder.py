@@ -68,7 +68,8 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
             f"{path} is the folder that you are in, or above it; give the name of another for the results"
         )
     if path.is_symlink() or (path.exists() and not path.is_dir()):
-        raise InputError(f"{path} is no folder; give another name for the results")
+        what = "a link" if path.is_symlink() else "no folder"
+        raise InputError(f"{path} is {what}; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
     below = [file for file in reads or () if file.resolve().is_relative_to(path.resolve())]

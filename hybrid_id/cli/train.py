@@ -92,6 +92,8 @@ def train(
     )  # fmt: skip
     home = required(config.output.folder)
     if joint:
+        if pooled is False:
+            raise InputError("--joint fits one set over all records; leave --per-record out")
         by_joint(config, home, joint, force=force, resume=resume, as_json=as_json, threads=threads)
         return
     with resumable(home):
