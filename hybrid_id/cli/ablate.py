@@ -27,6 +27,7 @@ from hybrid_id.cli.results import files_in, write_last, write_report
 from hybrid_id.cli.train import check_network, say_how_long
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
 from hybrid_id.errors import InputError, listed
+from hybrid_id.reading import read_object
 from hybrid_id.records.files import make_folder
 from hybrid_id.reporting.provenance import program
 
@@ -65,6 +66,10 @@ def ablate(
     home = required(config.output.folder)
     refuse_foreign(home, CELLS, "*/cell.json")
     dataset = checked_records(config)
+    if (home / RESULT).exists() and (
+        other := read_object(home / RESULT, "ablation").get("dataset")
+    ) != dataset.name:
+        raise InputError(f"{home} holds the ablation of another dataset, '{other}'; give another folder")
     use_threads(1)
     system = load_system(config, dataset)
     say_how_long(system)

@@ -24,7 +24,7 @@ from hybrid_id.cli.options import (
 )
 from hybrid_id.cli.results import write_last
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
-from hybrid_id.reading import LONGEST_NAME, refuse_outside
+from hybrid_id.reading import LONGEST_NAME, read_object, refuse_outside
 from hybrid_id.records.files import make_folder, natural_order
 from hybrid_id.reporting.provenance import program
 
@@ -72,6 +72,10 @@ def fleet(
     wish = "auto" if window is None else window
     horizon = Horizon.of(wish)
     datasets = read_fleet(robots)
+    if (home / RESULT).exists():
+        earlier = set(read_object(home / RESULT, "fleet").get("robots", ()))
+        if earlier.isdisjoint(one.name for one in datasets):
+            raise InputError(f"{home} holds a fleet of other robots; give another folder")
     system = read_model(model)
     check_window(wish, datasets[0].train)
     use_threads(1)

@@ -264,6 +264,12 @@ def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp
     shown = run("ablate", study, "--out", out)
     assert shown.code == 2 and "not empty" in shown.err and not cells.seen
     assert "--force" not in shown.err  # which this command does not have
+    (out / "thesis.txt").unlink()
+    assert run("ablate", study, "--out", out).code == 0
+    found = json.loads((out / "ablation.json").read_text())
+    (out / "ablation.json").write_text(json.dumps(found | {"dataset": "another"}))
+    other = run("ablate", study, "--out", out)
+    assert other.code == 2 and "the ablation of another dataset, 'another'" in other.err
 
 
 def test_what_the_records_are_too_short_for_is_said(run, plain: Path, cells: Cells, tmp_path: Path) -> None:

@@ -190,3 +190,14 @@ def test_wrong_folders_are_refused_in_a_sentence(robots: Path, run: type, tmp_pa
     file.write_text(file.read_text().replace("q_m1", "q_a1"))
     said = run("fleet", other, "--out", tmp_path / "out")
     assert said.code == 2 and not (tmp_path / "out").exists()
+
+
+def test_results_of_other_robots_are_not_overwritten(
+    robots: Path, result: Path, run: type, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(result, out)
+    found = json.loads((out / "fleet.json").read_text())
+    (out / "fleet.json").write_text(json.dumps(found | {"robots": ["another"]}))
+    said = run("fleet", robots, "--out", out)
+    assert said.code == 2 and "holds a fleet of other robots" in said.err
