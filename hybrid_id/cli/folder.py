@@ -253,18 +253,18 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
         raise InputError(
             f"{which} is a folder; give {'the name of a file' if beside is None else 'another name'}"
         )
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise InputError(f"{which} is a link or no regular file; give the name of a file of its own")
     if path.exists() and not force:
         both = "" if beside is None else " to replace both"
         raise InputError(f"{which} exists; give another name than {named.name}, or --force{both}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():
         raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+    announce(path)
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise InputError(f"{which} is a link or no regular file; give the name of a file of its own")
     if path.exists() and _is_listed(path):
         raise InputError(
             f"{path} is a record of the dataset beside it, which nothing replaces; give another name"
         )
-    announce(path)
 
 
 def _is_listed(path: Path) -> bool:

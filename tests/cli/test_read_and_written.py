@@ -40,6 +40,14 @@ CASES = {
     "export, a record": "export m.yaml --to mjcf --check DATA --out DATA/run_1.csv.gz --force",
     "demo": "demo --settings DATA/settings.yaml --out DATA --force",
 }
+SOONER = {
+    "identify": "the folder that you are in",
+    "ablate": "is not empty",
+    "fleet": "is not empty",
+    "export, beside a link": "a link or no regular file",
+    "export, a record": "a record of the dataset beside it",
+}
+"""What is said of some before it is known that the command reads them."""
 WITHOUT_INPUT = {"reproduce", "schema", "blind make", "blind reproduce"}
 OWN = {"blind run"}
 """Goes on in the folder of runs that it has made."""
@@ -68,9 +76,7 @@ def home(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_no_command_writes_to_what_it_reads(name: str, home: Path, run) -> None:
     before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
     outcome = run(*CASES[name].split())
-    words = {"identify": "the folder that you are in", "ablate": "is not empty", "fleet": "is not empty"}.get(
-        name, "this command"
-    )
+    words = SOONER.get(name, "this command")
     assert outcome.code == 2
     assert outcome.err.splitlines()[-1].startswith("Error: ") and words in outcome.err
     after = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}

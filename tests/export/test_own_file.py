@@ -175,7 +175,10 @@ def test_a_servo_by_name_leaves_class_and_goals_of_the_actuators(tmp_path: Path)
 
 
 def test_limits_that_a_drive_lacks_are_switched_off_in_place(tmp_path: Path) -> None:
-    own = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 50}}]\n"
+    own = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 50"
+    kept = to_mjcf(arm(tmp_path, "robot: {file: arm.xml}\n" + own + "}}]\n"))
+    assert '<position name="servo" joint="lift" kp="50" ctrlrange="-90 90"/>' in kept.text
+    own += ", goal_min: -1e+4, goal_max: 1e+4}}]\n"
     exported = to_mjcf(arm(tmp_path, "robot: {file: arm.xml}\n" + own))
     assert (
         '<position name="servo" joint="lift" kp="50" ctrlrange="-90 90" ctrllimited="false"/>'
