@@ -150,7 +150,7 @@ def _nothing_named(found: ArmDiagnosis) -> str:
             f"{joined(there)}."
         )
     if found.verdict == "parameters_only":
-        return f"Wrong parameter values explain the gap, of {joined(there)}, and no effect is missing at {any_joint}."
+        return f"Wrong parameter values explain the gap at {joined(there)}, and no effect is missing at {any_joint}."
     if found.verdict == "no_gap":
         return f"There is no gap: no effect at {any_joint} predicts records left out surely better than the model."
     return headline(found.joints[there[0]])
