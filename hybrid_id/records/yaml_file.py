@@ -34,6 +34,8 @@ LARGEST_WHOLE = 2**63 - 1
 KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
 """Kinds of files, and a key that each must have."""
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
+KIND_OF_VALUE = re.compile(r"float|int|str|bool|(list|dict|tuple)\[.*\]")
+"""How faults call the kinds that a value of several may have."""
 ATTRIBUTE = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {5,}.*)*)", re.MULTILINE)
 """Names in an ``Attributes`` section of a docstring, and what is said of them."""
 
@@ -86,7 +88,7 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
     except ValidationError as error:
         _refuse_other_kind(schema, values, path)
         _refuse_stranger(schema, values, path)
-        faults = _without_misspelt(error.errors(include_url=False))
+        faults = _to_tell(error.errors(include_url=False))
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
 
@@ -267,23 +269,33 @@ def _refuse_stranger(schema: type[BaseModel], values: Mapping[str, Any], path: s
         )
 
 
-def _without_misspelt(faults: Sequence[Any]) -> list[Any]:
-    """Leave out missing keys beside which an unknown key has nearly their name: that one is the fault."""
+def _to_tell(faults: Sequence[Any]) -> list[Any]:
+    """One fault for a key, without missing keys beside which an unknown one has nearly their name: it is the fault."""
     unknown: dict[tuple[str | int, ...], list[str]] = {}
     for fault in faults:
         if fault["type"] == "extra_forbidden":
             unknown.setdefault(fault["loc"][:-1], []).append(str(fault["loc"][-1]))
-    return [
+    told = [
         fault
         for fault in faults
         if fault["type"] != "missing"
         or not difflib.get_close_matches(str(fault["loc"][-1]), unknown.get(fault["loc"][:-1], []), n=1)
     ]
+    return list({_place(fault): fault for fault in reversed(told)}.values())[::-1]  # one of a key, the first
+
+
+def _place(fault: Any) -> tuple[str | int, ...]:
+    """Keys that lead to a fault, without the kinds of value that the last one may have."""
+    place = fault["loc"]
+    while place and isinstance(place[-1], str) and KIND_OF_VALUE.fullmatch(place[-1]):
+        place = place[:-1]
+    return place
 
 
 def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     """Say one pydantic fault in words, `key 'records[1].role' must be 'train' or 'test', found 'tests'`."""
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
+    place = _place(fault)
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if fault["type"] == "missing":
         return f"key '{key}' is missing; add it"
     if fault["type"] == "extra_forbidden":

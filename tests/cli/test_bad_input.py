@@ -165,6 +165,11 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     ),
     "a record in the way": ("excite --starts 1 --out {data}/rec_0.csv --force", nothing, ("record of the dataset",)),
     "a device in the way": ("excite --starts 1 --out /dev/full --force", nothing, ("no regular file",)),
+    "a gear ratio in words": (
+        "init {data}/rec_0.csv --motor {out}.yaml --out {out}",
+        lambda folder: (folder / "out.yaml").write_text('gear_ratio: "50:1"\n'),
+        ("key 'gear_ratio' must be a valid number, found '50:1'.",),
+    ),
     "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "no tone": ("excite --tones 0 --out {out}", nothing, ("--tones",)),
     "endless signal": ("excite --duration 1e9 --out {out}", nothing, ("--duration",)),
