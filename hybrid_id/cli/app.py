@@ -207,16 +207,14 @@ def _refuse_control(args: list[str]) -> None:
 def _refuse_twice(params: Sequence[Any], words: list[str]) -> None:
     """Raise InputError for an option that is given twice and of which all but the last would be passed over."""
     given = [word.partition("=")[0] for word in itertools.takewhile(lambda word: word != "--", words)]
-    options = [one for one in params if one.param_type_name == "option"]
-    for one in options:
+    for one in (one for one in params if one.param_type_name == "option"):
         sides = [
             next((name for name in names if name in given), "") for names in (one.opts, one.secondary_opts)
         ]
         if all(sides):
             raise InputError(f"{' and '.join(sides)} contradict each other; leave one of them out")
-    for one in (one for one in options if not (one.multiple or one.is_flag)):
-        attached = sum(word[:2] in one.opts and word[2:] != "" and word[1] != "-" for word in given)  # -oOUT
-        if attached + sum(given.count(name) for name in one.opts) > 1:
+        times = sum(word in one.opts or word[:2] in one.opts for word in given)  # -oOUT as well
+        if times > 1 and not (one.multiple or one.is_flag):
             raise InputError(f"{one.opts[0]} is given twice, and one counts; leave the other out")
 
 

@@ -444,7 +444,9 @@ def _runs_in(folder: Path, order: Sequence[str]) -> dict[str, dict[str, Any]]:
     """What each method's run in a folder is about."""
     by_method = {method: _complete(folder / method) for method in order if (folder / method).is_dir()}
     if not by_method:
-        cases = (folder / "manifest.json").exists()
+        from hybrid_id.machines.seal import MANIFEST
+
+        cases = (folder / MANIFEST).exists()
         command = f"{folder} --out RUNS" if cases else f"CASES --out {folder}"
         raise InputError(
             f"{folder} holds no run{', but cases' if cases else ''}; 'hybrid-id blind run {command}' makes one"

@@ -64,19 +64,21 @@ def fleet(
     check_backend(backend, scheduler)
     home = required(out)
     refuse_foreign(home, ROBOTS, "*.json")
+    if not robots.is_dir():
+        raise InputError(f"{robots} is no folder; give the one that holds a dataset folder for each robot")
     model = model or robots / "model.yaml"
-    if robots.is_dir() and not model.exists():
+    if not model.exists():
         raise InputError(f"{model} does not exist; name the model of all robots with --model")
     from hybrid_id.study import Horizon
 
     wish = "auto" if window is None else window
     horizon = Horizon.of(wish)
+    system = read_model(model)  # before minutes of reading
     datasets = read_fleet(robots)
     if (home / RESULT).exists():
         earlier = set(read_object(home / RESULT, "fleet").get("robots", ()))
         if earlier.isdisjoint(one.name for one in datasets):
             raise InputError(f"{home} holds a fleet of other robots; give another folder")
-    system = read_model(model)
     check_window(wish, datasets[0].train)
     use_threads(1)
     make_folder(home / ROBOTS)
@@ -109,8 +111,6 @@ def read_fleet(folder: Path) -> "list[Dataset]":
     from hybrid_id.records.quality import check_dataset
     from hybrid_id.study.fleet import FEWEST
 
-    if not folder.is_dir():
-        raise InputError(f"{folder} is no folder; give the one that holds a dataset folder for each robot")
     places = sorted(
         (file.parent for file in folder.glob(f"*/{DATASET}")), key=lambda one: natural_order(one.name)
     )

@@ -16,7 +16,7 @@ from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
 from hybrid_id.reading import announce, read_below, read_object
-from hybrid_id.records.files import HIDDEN, hidden_beside, locked
+from hybrid_id.records.files import HIDDEN, hidden_beside, locked, write_whole
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -36,8 +36,6 @@ RESULTS = (RESULT, DIAGNOSIS)
 MADE = {"identification": ("identify", RESULT), "diagnosis": ("diagnose", DIAGNOSIS)}
 """Commands whose fits are kept, and the file that says that all is written."""
 ASIDE = "earlier results are aside"
-DATASET, MOST_BYTES = "dataset.yaml", 10_000_000
-"""Name of a dataset file, and size beyond which none is."""
 WRITTEN = ".written"
 """Names the files that complete results consist of; others in their folder are the user's, which nothing replaces."""
 FOREIGN = "files that are no results of hybrid-id; give another folder"
@@ -132,7 +130,7 @@ def only_begun(path: Path) -> bool:
 def _name_files(path: Path, but: Iterable[Path] = ()) -> None:
     """Write down which files results consist of, as they are complete: all but those that were somebody's before."""
     files = sorted({file for file in path.rglob("*") if file.is_file()} - {path / WRITTEN, *but})
-    (path / WRITTEN).write_text("".join(f"{file.relative_to(path)}\n" for file in files), encoding="utf-8")
+    write_whole(path / WRITTEN, "".join(f"{file.relative_to(path)}\n" for file in files))
 
 
 def _added(path: Path) -> list[Path]:
@@ -268,18 +266,30 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
 
 
 def _is_listed(path: Path) -> bool:
-    """Whether a dataset file beside a file names it."""
-    beside = path.with_name(DATASET)
-    return (
-        beside.is_file()
-        and beside.stat().st_size < MOST_BYTES
-        and path.name in beside.read_text("utf-8", "replace")
-    )
+    """Whether a dataset file beside a file names it as a record, or by a pattern."""
+    from hybrid_id.records.dataset_file import FILE_NAME
+    from hybrid_id.records.yaml_file import read_yaml
+
+    beside = path.with_name(FILE_NAME)
+    if not beside.is_file() or path.name == FILE_NAME:
+        return False
+    try:
+        records = read_yaml(beside).get("records")
+    except InputError:  # whose fault concerns those alone who use it
+        return False
+    entries = records if isinstance(records, list) else []
+    patterns = [one.get("file") for one in entries if isinstance(one, dict)]
+    return any(isinstance(pattern, str) and path.match(pattern) for pattern in patterns)
 
 
 def kind_of(path: Path) -> str:
     """What a file is that goes with another one of its name."""
     return "page" if path.suffix == ".html" else "description"
+
+
+def _refuse_resume_and_force(resume: bool, force: bool) -> None:
+    if resume and force:
+        raise InputError("--resume goes on with what is kept, --force begins anew; leave one of them out")
 
 
 @contextmanager
@@ -305,8 +315,7 @@ def kept_fits(
     from hybrid_id.reporting.provenance import program
     from hybrid_id.study import Kept
 
-    if resume and force:
-        raise InputError("--resume goes on with what is kept, --force begins anew; leave one of them out")
+    _refuse_resume_and_force(resume, force)
     fits = home / FITS
     kind, (command, file) = _kind(fits), MADE[noun]
     if resume and fits.is_dir():
@@ -394,8 +403,7 @@ def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:
 
 def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> None:
     """Raise InputError where a training can neither begin nor go on, before anything is computed."""
-    if resume and force:
-        raise InputError("--resume goes on with what is kept, --force begins anew; leave one of them out")
+    _refuse_resume_and_force(resume, force)
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
     # what was killed before its first checkpoint has nothing to lose

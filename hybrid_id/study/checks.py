@@ -123,7 +123,7 @@ def check_scales(dataset: Dataset, system: System) -> list[Finding]:
 
 
 def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
-    """Doubts of goals that angles follow: many times as far, hardly at all, or a quarter turn and more beside them."""
+    """Doubts of goals and their angles: of units, signs, columns, and the zeros of encoders."""
     measured = {channel.name for channel in dataset.outputs}
     for joint, ratio in zip(system.joints, system.own_ratios, strict=True):
         goal, sides = f"goal{joint.number}", _sides(joint, ratio)
@@ -132,18 +132,11 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
             continue
         # of the joint, for one of the side that the loop reads
         turns = 1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio
-        found = {
-            other.number: [
-                (r.outputs[name] / (sides[name] * turns), r.inputs[f"goal{other.number}"])
-                for r in dataset
-                if f"goal{other.number}" in r.inputs
-            ]
-            for other in system.joints
-        }
-        moves = {k: [(a - a.mean(), b - b.mean()) for a, b in pairs] for k, pairs in found.items()}
-        alike = {k: _alike(pairs) for k, pairs in moves.items()}
-        own, likest = alike.pop(joint.number), max(alike, key=alike.__getitem__, default=0)
-        if times := _times(moves[joint.number]):
+        scale = sides[name] * turns
+        pairs = _pairs(dataset, name, scale, goal)
+        moves = _centred(pairs)
+        own = _alike(moves)
+        if times := _times(moves):
             words = (
                 f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
                 "the dataset file (degrees?), or gear_ratio in the model file"
@@ -155,17 +148,34 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
                 "the dataset file"
             )
             yield Finding("warning", "sign", words, channel=name)
-        elif own < LITTLE and alike and alike[likest] >= ALIKE:
-            words = f"{name} follows goal{likest} and not {goal}; check which columns of the dataset file they are"
+        elif own < LITTLE and (other := _followed(dataset, system, name, scale)):
+            words = f"{name} follows {other} and not {goal}; check which columns of the dataset file they are"
             yield Finding("warning", "columns", words, channel=name)
-        elif own >= ALIKE and (beside := _beside([angle - other for angle, other in found[joint.number]])):
-            apart = _turn(beside * sides[name] * turns)
+        elif own >= ALIKE and (beside := _beside([angle - aim for angle, aim in pairs])):
+            apart = _turn(beside * scale)
             words = (
                 f"{name} stays {apart:.5g} rad ({np.degrees(apart):.4g} deg) beside {goal}, which it follows; where "
                 "its encoder counts from elsewhere, give it that 'zero' under 'columns' in the dataset file, in unit "
                 "and sign of the file's own column"
             )
             yield Finding("warning", "zero" if abs(apart) >= QUARTER else "beside", words, channel=name)
+
+
+def _pairs(dataset: Dataset, name: str, scale: float, goal: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """An angle over its scale, and a goal, of each record that has the goal."""
+    return [(r.outputs[name] / scale, r.inputs[goal]) for r in dataset if goal in r.inputs]
+
+
+def _centred(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(a - a.mean(), b - b.mean()) for a, b in pairs]
+
+
+def _followed(dataset: Dataset, system: System, name: str, scale: float) -> str:
+    """The goal that an angle follows most; empty where it follows none."""
+    goals = [f"goal{joint.number}" for joint in system.joints]
+    alike = {goal: _alike(_centred(_pairs(dataset, name, scale, goal))) for goal in goals}
+    most = max(alike, key=alike.__getitem__)
+    return most if alike[most] >= ALIKE else ""
 
 
 def _beside(apart: Sequence[np.ndarray]) -> float:
@@ -239,7 +249,7 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
         found.insert(0, Finding("warning", "start_values", words))
     for output in runs[0].outputs:
         pairs = [(run.record.signal(output), run.outputs[output]) for run in runs if run.status == "ok"]
-        if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
+        if times := _times(_centred(pairs)):
             words = (
                 f"{output} moves {times:.3g} times as far in the records as with the model's start values, and alike "
                 "otherwise; check its unit and that of the time, or correct the start values"
@@ -337,7 +347,7 @@ def _verdict(
             size += f" of {outputs[moving[int(np.argmax(typical))]]}"
         return f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"
     largest = np.max(np.where(np.isnan(errors), 0.0, errors), axis=1, initial=0.0)
-    usual = float(np.median(largest[~np.isnan(errors).all(1)], axis=0)) if moving.size else 0.0
+    usual = float(np.median(largest[~np.isnan(errors).all(1)])) if moving.size else 0.0
     out = [k for k, error in enumerate(largest) if error > max(1.0, FAR_OUT * usual)]
     if not out:
         return ""

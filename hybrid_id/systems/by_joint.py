@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from torch.nn import Module
+from torch.nn import Module, ModuleDict
 
 from hybrid_id.components.base import Component, Shared
 from hybrid_id.components.input.delay import CommonDelay, Delay
@@ -103,7 +103,8 @@ def some(system: System, joints: Sequence[int]) -> System:
     """
     tree, here = _tree(system), tuple(f"joint{joint + 1}/" for joint in joints)
     parts, moved = [], {}
-    late = [joint for joint in here if not _delayed(dict(system.components.items()), joint)]
+    delayed = _delayed(system.components)
+    late = [joint for joint in here if joint not in delayed]
     for key, part in system.components.items():
         own = key.startswith(here)
         if own or isinstance(part, EVERYWHERE):
@@ -168,18 +169,18 @@ def _sizes(part: object) -> dict[str, float]:
     return {symbol: spec.value for symbol, spec in cast(Component, part).specs.items()}
 
 
-def _delayed(parts: Mapping[str, Module], joint: str) -> bool:
-    """Whether a joint, ``joint2/``, has a delay of its own."""
-    return any(key.startswith(joint) and isinstance(part, Delay) for key, part in parts.items())
+def _delayed(parts: Mapping[str, Module] | ModuleDict) -> set[str]:
+    """Joints, ``joint2/``, that have a delay of their own."""
+    return {key.split("/")[0] + "/" for key, part in parts.items() if isinstance(part, Delay)}
 
 
 def _with_common_delay_beside(parts: Mapping[str, Module]) -> Mapping[str, Module]:
     """Components whose common dead time is listed at a joint that has none of its own, where there is one."""
     key = next((key for key, part in parts.items() if isinstance(part, CommonDelay)), "")
-    others = {name.split("/")[0] + "/" for name in parts}
-    if not key or not _delayed(parts, key.split("/")[0] + "/"):
+    delayed = _delayed(parts)
+    if key.split("/")[0] + "/" not in delayed:
         return parts
-    free = sorted(joint for joint in others if not _delayed(parts, joint))
+    free = sorted({name.split("/")[0] + "/" for name in parts} - delayed)
     moved = {free[0] + key.split("/", 1)[1]: parts[key]} if free else {}
     return {name: part for name, part in parts.items() if name != key} | moved
 
@@ -201,7 +202,7 @@ def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Data
         joints: their numbers, from 0.
 
     Raises:
-        InputError: an angle of another joint was not measured.
+        InputError: an angle of another joint was not measured, or an output is of a joint that the robot lacks.
     """
     system.check_outputs([channel.name for channel in dataset.outputs])
     own = [str(joint + 1) for joint in joints]
@@ -352,10 +353,10 @@ def check_angles(dataset: Dataset, system: System) -> None:
 
     Or where records hold a joint that the robot has not: a held one, after which all others count one lower.
     """
-    system.check_outputs([channel.name for channel in dataset.outputs])
-    measured = {channel.name for channel in dataset.outputs}
+    measured = [channel.name for channel in dataset.outputs]
+    system.check_outputs(measured)
     for k, joint in enumerate(system.joints):
-        if not joint.motors and not {f"q_m{joint.number}", f"q_a{joint.number}"} & measured:
+        if not joint.motors and not {f"q_m{joint.number}", f"q_a{joint.number}"}.intersection(measured):
             raise InputError(_without_angle(f"Dataset '{dataset.name}'", system, k))
 
 

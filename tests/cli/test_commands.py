@@ -32,6 +32,7 @@ from hybrid_id.cli.folder import (
     added_results,
     leave_without_checkpoint,
     live_folder,
+    refuse_file,
     refuse_foreign,
     refuse_taken,
     results_folder,
@@ -407,6 +408,18 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
         refuse_taken(out, force=True)
     (out / BEGUN).write_text("")
     refuse_taken(out, force=True)
+
+
+def test_force_never_takes_a_record_of_the_dataset_beside_it(tmp_path: Path) -> None:
+    """By its whole name or a pattern; a part of another's name is free."""
+    listed = {"records": [{"file": "run_1.csv"}, {"file": "log_*.csv"}]}
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(listed))
+    for name in ("run_1.csv", "log_7.csv", "n_1.csv"):
+        (tmp_path / name).write_text("t,u1\n")
+    for name in ("run_1.csv", "log_7.csv"):
+        with pytest.raises(InputError, match="a record of the dataset beside it"):
+            refuse_file(tmp_path / name, force=True)
+    refuse_file(tmp_path / "n_1.csv", force=True)
 
 
 def test_force_never_takes_results_that_lie_inside_the_folder(run, drive: Path, tmp_path: Path) -> None:
