@@ -479,9 +479,13 @@ def _in_words(name: Name) -> str:
 
 
 def _for_all_records(found: Selection, own: PerRecord) -> Selection:
-    """The search with the model whose values stand for all records."""
+    """The search with the model whose values stand for all records.
+
+    With effects only where it predicts records left out no worse: the values of one record are no witness against an
+    effect that the values common to all have shown.
+    """
     if own.model.effects:
-        return replace(found, chosen=own.model)
+        return replace(found, chosen=min(own.model, found.chosen, key=lambda e: e.error))
     return replace(found, chosen=own.model, base=own.model)
 
 

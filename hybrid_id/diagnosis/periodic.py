@@ -78,7 +78,7 @@ def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...
     opened = left.opened(joint, "motor")
     phase = left.batch.x[..., opened.row]
     least = least_periods(max(float(phase.max() - phase.min()), 1e-3))
-    slow = _between(max(1.0, least), float(PERIODS[0]), phase)
+    slow = _between(max(GEAR_PERIODS[0], least), float(PERIODS[0]), phase)
     periods = [*slow, *(float(n) for n in PERIODS if n >= least)]
 
     def shape(i: int, of: Response) -> Tensor:

@@ -58,6 +58,6 @@ class Stribeck(Friction):
                 "v_s": free(share * v, 0.002 * v, 0.5 * v),
                 "p": free(p, 0.5, 3.0),
             }
-            for share in (0.03, 0.15)
+            for share in (0.03, 0.15, 0.4)
             for p in (1.0, 2.0)
         ]

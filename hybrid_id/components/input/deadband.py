@@ -62,7 +62,7 @@ class Deadband(CommandMap):
                 "jump": free(jump, 0.0, 1.0),
                 "width": max(0.002 * size, 1e-6),
             }
-            for share in (0.05, 0.2)
+            for share in (0.05, 0.2, 0.5)
             for jump in (0.05, 0.95)
         ]
 

@@ -4,8 +4,8 @@ from hybrid_id.components.base import CommandMap, Effect
 from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
-SOFTEST = 0.3
-"""Largest resistance of a supply over that of the winding: a stalled motor at full duty lets it fall by a quarter."""
+SOFTEST = 1.0
+"""Largest resistance of a supply over that of the winding: a stalled motor at full duty lets it fall by half."""
 
 
 class SupplySag(CommandMap):
