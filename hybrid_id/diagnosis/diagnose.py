@@ -41,6 +41,8 @@ from hybrid_id.diagnosis.select import (
     Selection,
     accepted,
     accepted_ones,
+    judged_fits,
+    least_trained,
     leaves_something,
     refitted_without,
     select,
@@ -440,8 +442,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
-        rest = rest or found.base
+        rest = _without(fits, found, name) or found.base
         rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
         found = replace(found, chosen=rest)
     nothing = not found.chosen.effects and not graded.unknown and not varying
@@ -452,6 +453,15 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
     return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
+
+
+def _without(fits: Fits, found: Selection, name: Name) -> FittedModel | None:
+    """The chosen model less one of several effects, no worse than the search has fitted it; None of a single one."""
+    effects = tuple(one for one in found.chosen.effects if one != name)
+    if not effects:
+        return None
+    known = least_trained(judged_fits(found.steps, effects))
+    return refitted_without(fits, found.base, found.chosen, name, known=known)
 
 
 def _rests_on(fits: Fits, richer: FittedModel, simpler: FittedModel) -> str:

@@ -261,6 +261,16 @@ def chance(richer: FittedModel, simpler: FittedModel, rivals: Collection[FittedM
     return float(p_values([e.validation for e in (richer, *others)], simpler.validation)[0])
 
 
+def judged_fits(steps: Sequence[SelectionStep], effects: tuple[Name, ...]) -> list[FittedModel]:
+    """Fits of a set of effects that steps have fitted to the end and judged."""
+    return [e for s in steps for e in (s.before, *s.candidates) if e.effects == effects and e.judged]
+
+
+def least_trained(some: Sequence[FittedModel]) -> FittedModel | None:
+    """Of some fits the one that errs least on its own records; None of none."""
+    return min(some, key=lambda e: e.trained, default=None)
+
+
 def refitted_without(
     fits: Fits, base: FittedModel, richer: FittedModel, name: Name, *, known: FittedModel | None = None
 ) -> FittedModel | None:
@@ -389,9 +399,8 @@ def _necessary(
     for name in chosen.effects:
         rest = tuple(e for e in chosen.effects if e != name)
         # the others have ended elsewhere than before they had each other: the rest may do better from there
-        ends = [e for s in steps for e in (s.before, *s.candidates) if e.effects == rest and e.judged]
-        known = min(ends, key=lambda e: e.trained, default=None)
-        again = refitted_without(fits, base, chosen, name, known=known)
+        ends = judged_fits(steps, rest)
+        again = refitted_without(fits, base, chosen, name, known=least_trained(ends))
         simpler = min((e for e in (*ends, again) if e is not None), key=lambda e: e.error, default=None)
         if simpler is not None and not accepted(chosen, simpler):
             return simpler
