@@ -12,6 +12,9 @@ from hybrid_id.components.base import Counterpart, Effect, Friction
 from hybrid_id.components.site import Site, free
 from hybrid_id.parameters import Bounded
 
+BEARING = 0.02
+"""Turn of a rotor before its bearings slide [rad]: about a degree."""
+
 
 class Bristle(Friction):
     """A friction with memory: it turns the dry interval of its speed into the deflection of a bristle.
@@ -56,7 +59,10 @@ def stiffnesses(site: Site) -> list[Bounded]:
     """Start values of a bristle's stiffness [N m/rad]; none where no dry friction gives its level."""
     if not any(law.has_level for law in site.frictions):
         return []
-    sizes = (site.dry * site.gearing**2 / (share * site.turns) for share in (0.001, 0.01))
+    ways = [0.001 * site.turns, 0.01 * site.turns]
+    if ways[0] > 5.0 * BEARING:
+        ways.insert(0, BEARING)
+    sizes = (site.dry * site.gearing**2 / way for way in ways)
     return [free(size, 0.02 * size, 50.0 * size) for size in sizes]
 
 

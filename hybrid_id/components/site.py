@@ -44,12 +44,12 @@ class Scales:
         sample_time: [s].
         duration: of the longest record [s].
         command: largest command [its unit].
-        command_rms: its RMS while it is not zero.
-        speed: 95th percentile of the rotor's speed [rad/s].
+        command_rms: its RMS while it is not near zero.
+        speed: 95th percentile of the rotor's speed while it turns [rad/s].
         turns: range of the rotor's angle [rad].
         angle: range of the link's angle [rad].
         middle: its middle [rad].
-        torque: RMS of the motor's torque [N m], at the motor.
+        torque: RMS of the motor's torque while it is not near zero [N m], at the motor.
         dry: level of dry friction at the motor [N m]; a tenth of ``torque`` where the model has none.
         inertia: everything that moves, at the motor [kg m^2].
         rotor: part of it on the rotor's side of the gear.

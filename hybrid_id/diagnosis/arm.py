@@ -532,7 +532,7 @@ def common_sizes(
         model: the corrected robot.
         known: its parameters with their standard errors, which are compared.
     """
-    sizes: dict[tuple[str, str, str, str], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
+    sizes: dict[tuple[str, ...], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
     for joint, one in found.items():
         for each in one.selected:
             if (each.name, each.where) in one.search.shown:
@@ -545,8 +545,11 @@ def common_sizes(
                 size = own.get(symbol) or known.get(info.name)
                 if symbol in each.parameters and size is not None:
                     place = each.where.rpartition("/")[2]
+                    kind = info.component.rpartition("/")[
+                        2
+                    ]  # at the motor and at the link an effect has other units
                     point = getattr(whole.components[info.component], "point", "")
-                    sizes.setdefault((each.name, place, point, symbol), []).append((joint, size, info))
+                    sizes.setdefault((each.name, place, kind, point, symbol), []).append((joint, size, info))
     result = []
     for (name, *_), each in sizes.items():
         values, stds = np.array([size for _, size, _ in each]).T

@@ -9,7 +9,7 @@ from functools import partial
 from typing import cast
 
 from hybrid_id.components import CATALOGUE
-from hybrid_id.components.base import Component, Effect, Values
+from hybrid_id.components.base import Component, Effect, Shared, Values
 from hybrid_id.components.site import Scales, Searches, Site
 from hybrid_id.diagnosis.periodic import Residual, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.errors import InputError
@@ -50,10 +50,23 @@ def with_effect(
         if site.has(*effect.kinds) and not effect.where_held:
             continue
         starts = [(law, values) for law in effect.laws for values in law.starts(site)]
+        starts = [one for one in starts if not _listed_elsewhere(system, joint.name, *one)]
         built = [_model(system, f"{joint.name}/{place}", law, values) for law, values in starts]
         if kept := [model for model in built if model is not None]:
             found[f"{joint.name}/{place}"] = kept
     return found
+
+
+def _listed_elsewhere(system: System, joint: str, law: type[Component], values: Values) -> bool:
+    """Whether the robot has a law that acts on several joints already, with its parameters, at another one of them."""
+    if not issubclass(law, Shared):
+        return False
+    point = values.get(getattr(law, "option", ""), "")
+    parts = (item for robot in system.whole for item in robot.components.items())
+    return any(
+        isinstance(part, law) and part.point == point and not key.startswith(f"{joint}/")
+        for key, part in parts
+    )
 
 
 def with_further(effect: Effect, system: System, where: str, left: Residual) -> list[System]:

@@ -78,7 +78,7 @@ class Judged:
 def judged_by_all(robot: WholeRobot) -> dict[str, Answer]:
     """The joints' answers, with what acts on all joints where several of them together make it probable.
 
-    Asked is what two joints or more find likely and not all of these assert. The others move as they were measured.
+    Asked is what two joints or more find likely. The others move as they were measured.
     """
     found = dict(robot.answers)
     for effect, each in _witnesses(robot.answers):
@@ -112,12 +112,9 @@ def _witnesses(answers: Mapping[str, Answer]) -> list[tuple[What, dict[str, Witn
                 rival = max(others, key=lambda e: odds[added_effect(e, step.before)], default=None)
                 witness = Witness(effect, step.before, model, rival, effect in asserted)
                 found[what(effect, model.system)][name] = witness
-    asked = [
-        (effect, each)
-        for effect, each in found.items()
-        if len(each) > 1 and not all(witness.asserted for witness in each.values())
-    ]
-    return sorted(asked, key=lambda one: -len(one[1]))
+    return sorted(
+        ((effect, each) for effect, each in found.items() if len(each) > 1), key=lambda one: -len(one[1])
+    )
 
 
 def _without(robot: WholeRobot, effect: What, each: Mapping[str, Witness]) -> dict[str, FittedModel] | None:
@@ -138,7 +135,10 @@ def _without(robot: WholeRobot, effect: What, each: Mapping[str, Witness]) -> di
             if rest is None:
                 return None
             rests[name] = rest
-    return {name: held(one, robot.answers[name].searched.base) for name, one in rests.items()}
+    as_found = {name: robot.answers[name].found.chosen for name in each}
+    return {
+        name: held(one, robot.answers[name]) if one is as_found[name] else one for name, one in rests.items()
+    }
 
 
 def _judged(
@@ -236,13 +236,23 @@ def _step(answer: Answer, rest: FittedModel, witness: Witness, judged: Judged) -
     own, other = (_with(rest, witness, one) for one in (witness.model, witness.rival))
     if own is None:
         return None
-    infos = brought(own.system, *witness.effect)
-    specs = {infos[s].name: replace(spec, estimate=False) for s, spec in judged.specs.items()}
-    tasks = [Task(rest.effects, rest.system), Task(own.effects, own.system.with_specs(specs))]
-    tasks += [Task(other.effects, other.system)] if other else []
-    before, model, *rivals = answer.fits.run(tasks, FULL)
+
+    def fit(
+        start: FittedModel, known: FittedModel | None, shared: Mapping[str, Bounded]
+    ) -> FittedModel | None:
+        # from the model that all have been judged with, and from where the joint's own search has ended
+        starts = [start, *(one for one in (known,) if one is not None and one.effects == start.effects)]
+        tasks = []
+        for one in starts:
+            infos = brought(one.system, *witness.effect) if shared else {}
+            specs = {infos[s].name: replace(spec, estimate=False) for s, spec in shared.items()}
+            tasks.append(Task(one.effects, one.system.with_specs(specs)))
+        ends = [end for end in answer.fits.run(tasks, FULL) if end is not None]
+        return min(ends, key=lambda end: end.error, default=None)
+
+    before, model = fit(rest, witness.before, {}), fit(own, witness.model, judged.specs)
     if before is None or model is None:
         return None
-    rivals = [one for one in rivals if one is not None]
+    rivals = [one for one in (other and fit(other, witness.rival, {}),) if one is not None]
     odds = (0.0, *(judged.odds for _ in rivals))
     return SelectionStep(before, (model, *rivals), swap=True, odds=odds, shown=judged.shown)

@@ -35,16 +35,21 @@ from hybrid_id.diagnosis.next_experiment import Experiment, next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, selection_step
+from hybrid_id.diagnosis.screen import (
+    Progress,
+    SelectionStep,
+    better_ways,
+    log_odds,
+    named_alike,
+    selection_step,
+)
 from hybrid_id.diagnosis.select import (
     MAX_EFFECTS,
     Selection,
     accepted,
     accepted_ones,
-    judged_fits,
-    least_trained,
+    best_without,
     leaves_something,
-    refitted_without,
     select,
     stopped_after,
 )
@@ -318,7 +323,11 @@ def _along_whole(
     if not near.chosen.effects:
         return None
     start = with_priors_of(near.chosen.system, base.system)
-    model = fits.run([Task(near.chosen.effects, start)], FULL)[0]
+    free = without_priors(start, system)
+    ways = [Task(near.chosen.effects, start)]
+    if free.table != start.table:
+        ways.append(Task(near.chosen.effects, free))
+    model = next(iter(better_ways([near.chosen] * len(ways), fits.run(ways, FULL))), None)
     if model is None or not accepted(model, base):
         return None
     found = select(fits, base, system, start=model, max_effects=max_effects, progress=progress)
@@ -442,7 +451,9 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rest = _without(fits, found, name) or found.base
+        several = len(chosen.effects) > 1
+        rest = best_without(fits, found.base, chosen, name, found.steps) if several else None
+        rest = rest or found.base
         rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
         found = replace(found, chosen=rest)
     nothing = not found.chosen.effects and not graded.unknown and not varying
@@ -453,15 +464,6 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
     return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
-
-
-def _without(fits: Fits, found: Selection, name: Name) -> FittedModel | None:
-    """The chosen model less one of several effects, no worse than the search has fitted it; None of a single one."""
-    effects = tuple(one for one in found.chosen.effects if one != name)
-    if not effects:
-        return None
-    known = least_trained(judged_fits(found.steps, effects))
-    return refitted_without(fits, found.base, found.chosen, name, known=known)
 
 
 def _rests_on(fits: Fits, richer: FittedModel, simpler: FittedModel) -> str:
@@ -489,13 +491,9 @@ def _in_words(name: Name) -> str:
 
 
 def _for_all_records(found: Selection, own: PerRecord) -> Selection:
-    """The search with the model whose values stand for all records.
-
-    With effects only where it predicts records left out no worse: the values of one record are no witness against an
-    effect that the values common to all have shown.
-    """
+    """The search with the model whose values stand for all records."""
     if own.model.effects:
-        return replace(found, chosen=min(own.model, found.chosen, key=lambda e: e.error))
+        return replace(found, chosen=own.model)
     return replace(found, chosen=own.model, base=own.model)
 
 

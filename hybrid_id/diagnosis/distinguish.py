@@ -14,6 +14,7 @@ from dataclasses import replace
 
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
+from hybrid_id.diagnosis.fits import without_priors
 from hybrid_id.diagnosis.grade import tied_step
 from hybrid_id.diagnosis.model import FittedModel, added_effect
 from hybrid_id.diagnosis.screen import SelectionStep, log_odds_at
@@ -21,6 +22,7 @@ from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
 from hybrid_id.identification.horizons import joined
+from hybrid_id.systems.chain import System
 
 
 def distinguished(robot: WholeRobot) -> dict[str, Answer]:
@@ -41,8 +43,9 @@ def distinguished(robot: WholeRobot) -> dict[str, Answer]:
     for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
         robot.say("the whole robot", k, len(large) + 1)
         answer, (step, _, equals) = found[name], ties[name]
-        chosen = {joint: held(one.found.chosen, one.searched.base) for joint, one in found.items()}
-        compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in equals])
+        chosen = {joint: held(one.found.chosen, one) for joint, one in found.items()}
+        alike = _held_alike(equals, robot.drives[name])
+        compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in alike])
         if compared is None:
             continue
         first, searched = compared.candidates[0], answer.searched
@@ -67,6 +70,19 @@ def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | Non
     lead = added_effect(step.leader, step.before)
     share = next((c.share for c in answer.grade.effects if (c.name, c.where) == lead), None)
     return (step, share or 0.0, able) if len(able) > 1 and step.leader in able else None
+
+
+def _held_alike(equals: Sequence[FittedModel], nominal: System) -> list[FittedModel]:
+    """Explanations of a tie all held by the priors of the search, or all free where any of them is.
+
+    A free drive takes much of what a wrong explanation leaves, and no held one may be compared with it.
+    """
+    free = [without_priors(one.system, nominal) for one in equals]
+    if all(one.system.table != own.table for one, own in zip(equals, free, strict=True)):
+        return list(equals)
+    return [
+        replace(one, result=replace(one.result, system=own)) for one, own in zip(equals, free, strict=True)
+    ]
 
 
 def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:

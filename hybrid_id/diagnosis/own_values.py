@@ -7,7 +7,7 @@ joint takes a part of it for something missing. An effect that a robot lacks sho
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,22 +157,29 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
     nothing = [name for name in unsure if plain is not None and plain.nothing_left(robot.key(name))]
     chosen |= {name: answers[name].searched.base for name in nothing}
     now = plain if not any(one.effects for one in chosen.values()) else _own_values(robot, chosen)
+    claimed = {
+        name: [(e.name, e.where) for e in answers[name].grade.effects if e.selected] for name in unsure
+    }
+    for name, effect in _smallest_first(answers, claimed):
+        models = without_effect(robot, chosen, name, effect) if effect in chosen[name].effects else None
+        bare = None if models is None else _own_values(robot, models)
+        if models is None or bare is None or now is None:
+            continue
+        if (
+            bare.common.cost < now.common.cost
+        ):  # it has one effect less: the richer fit has not found its best
+            again = _own_values(robot, chosen, bare)
+            now = now if again is None or again.common.cost > now.common.cost else again
+        # what acts on all joints stands by the one that it helps
+        if any(helps(now, bare, robot.key(joint)) for joint in models if models[joint] is not chosen[joint]):
+            continue
+        left = chosen | {name: models[name]}
+        after = bare if models == left else _own_values(robot, left)
+        if after is not None:
+            chosen, now = left, after
     found = dict(answers)
     for name in unsure:
-        claimed = [(e.name, e.where) for e in answers[name].grade.effects if e.selected]
-        for effect in reversed(claimed):
-            models = without_effect(robot, chosen, name, effect) if effect in chosen[name].effects else None
-            bare = None if models is None else _own_values(robot, models)
-            if models is None or bare is None or now is None:
-                continue
-            # what acts on all joints stands by the one that it helps
-            if any(
-                helps(now, bare, robot.key(joint)) for joint in models if models[joint] is not chosen[joint]
-            ):
-                continue
-            chosen[name] = models[name]
-            now = bare if models == chosen else _own_values(robot, chosen)
-        refuted = [effect for effect in claimed if effect not in chosen[name].effects]
+        refuted = [effect for effect in claimed[name] if effect not in chosen[name].effects]
         seen = plain if name in nothing else now
         rest = chosen[name] if chosen[name].effects else answers[name].searched.base
         own = None
@@ -182,6 +189,19 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
             searched = replace(answers[name].searched, chosen=rest, own=own, refuted=tuple(refuted))
             found[name] = robot.frozen(name, searched)
     return _rated(found, {} if now is None else {name: now.left(robot.key(name)) for name in found})
+
+
+def _smallest_first(
+    answers: Mapping[str, Answer], claimed: Mapping[str, Sequence[Name]]
+) -> list[tuple[str, Name]]:
+    """What is claimed of all joints, by joint, the least of the robot's errors first."""
+    size = {
+        (name, (c.name, c.where)): (c.share or 0.0) * one.grade.gap
+        for name, one in answers.items()
+        for c in one.grade.effects
+    }
+    every = [(name, effect) for name, some in claimed.items() for effect in some]
+    return sorted(every, key=lambda one: size[one])
 
 
 def _rated(answers: Mapping[str, Answer], left: Mapping[str, float]) -> dict[str, Answer]:
@@ -194,9 +214,17 @@ def _rated(answers: Mapping[str, Answer], left: Mapping[str, float]) -> dict[str
     }
 
 
-def _own_values(robot: WholeRobot, models: Mapping[str, FittedModel]) -> OwnValues | None:
-    """Each record's own values of the robot with these models of the joints, by name."""
+def _own_values(
+    robot: WholeRobot, models: Mapping[str, FittedModel], near: OwnValues | None = None
+) -> OwnValues | None:
+    """Each record's own values of the robot with these models of the joints, by name.
+
+    Fitted from where the models stand, or from where other fits of the robot have ended, as far as these go.
+    """
     effects = [name for one in models.values() for name in one.effects]
-    return own_values(
-        robot.records, robot.system(models), effects, robot.horizon, robot.signal_share, robot.kept
-    )
+    system = robot.system(models)
+    if near is not None:
+        ends = {(i.component, i.symbol): i.spec.value for i in near.common.system.table if i.spec.estimate}
+        start = {i.name: ends[i.component, i.symbol] for i in system.table if (i.component, i.symbol) in ends}
+        system = system.with_values(start)
+    return own_values(robot.records, system, effects, robot.horizon, robot.signal_share, robot.kept)

@@ -29,7 +29,8 @@ class PerRecord:
 
     Attributes:
         model: the model whose set stands for all records: as it was, or fitted again from that of one record, where it
-            explains the train records together; otherwise with the set that predicts the others best.
+            explains the train records together; otherwise with the set that predicts the others best, where that
+            predicts them better.
         autocorrelation: share of what these sets leave that neighbouring samples have in common.
         varying: the parameters whose differences matter most, each with its standard deviation over the records, where
             the records' own sets leave next to nothing but white noise; none where they do not differ surely, or one
@@ -76,16 +77,20 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
         return PerRecord(model, left)
     if model.autocorrelation <= CRITERIA.coloured:
         return PerRecord(model, left, scatter(sets), True)
-    best = sets[select(cross_validate(sets, batch, pooled=False)).index]
-    task, words = Task(model.effects, best.system), scatter(sets)
+    own = select(cross_validate(sets, batch, pooled=False)).index
+    task, words = Task(model.effects, sets[own].system), scatter(sets)
     there, fitted = fits.run([task], 0)[0], fits.run([task], FULL)[0]
     if fitted is not None and fitted.autocorrelation <= CRITERIA.coloured:
         return PerRecord(fitted, left, explained=True)
     if there is None or not words:
         return PerRecord(model, left)
-    if not there.judged and fits.weights is not None:  # as those errors count that it is compared with
-        there = replace(there, validation=there.validation.weighted(fits.weights))
-    return PerRecord(there, left, words, True)
+    if there.judged:
+        better = there.error < model.error
+    else:  # its own record has fitted it, and says nothing of it; errors count as those that it is compared with
+        if fits.weights is not None:
+            there = replace(there, validation=there.validation.weighted(fits.weights))
+        better = there.validation.without(own).error < model.validation.without(own).error
+    return PerRecord(there if better else model, left, words, True)
 
 
 def structural(residual: Sequence[np.ndarray]) -> float:

@@ -20,12 +20,12 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.joint import Joint, Views
 
-PERIODS = range(13, 49)
-"""Periods a turn of the rotor that a motor's poles and slots may have; fewer are looked for between whole numbers, too,
-for the gear ratio may be another one and what ripples may sit elsewhere."""
+PERIODS = (*range(13, 49), 54, 60, 63, 72, 84, 90, 120, 126, 144, 168, 180, 252, 264, 360)
+"""Periods a turn of the rotor that a motor's poles and slots may have, common multiples of many poles among them; fewer
+are looked for between whole numbers, too, for the gear ratio may be another one and what ripples may sit elsewhere."""
 GEAR_PERIODS = (0.25, 4.0)
 """Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
-FINEST = 1200
+FINEST = 4800
 """Periods over such a range, or below the whole ones of a motor, that are looked at, at most."""
 THINNED, SHORTLIST = 4, 90
 """Of many shapes, every so many windows choose so many of them, which are then held against all windows."""
@@ -35,6 +35,8 @@ ROUNDING = 1e-10
 """Share of a shape's squares beside the model's own parameters, below which these do the same."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
+TURNED = (1, 2, 3, 4)
+"""Waves of friction a turn that a shaft may have, however many turns it makes."""
 SPOTS = 24
 """Places of a tight spot over the joint's range."""
 WIDTHS = (0.03, 0.07, 0.15)
@@ -79,7 +81,8 @@ def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...
     phase = left.batch.x[..., opened.row]
     least = least_periods(max(float(phase.max() - phase.min()), 1e-3))
     slow = _between(max(GEAR_PERIODS[0], least), float(PERIODS[0]), phase)
-    periods = [*slow, *(float(n) for n in PERIODS if n >= least)]
+    whole = (float(n) for n in (*range(1, PERIODS[0]), *PERIODS) if n >= least)
+    periods = sorted({*slow, *whole})
 
     def shape(i: int, of: Response) -> Tensor:
         return _waves(periods[i] * of.within(phase))
@@ -117,6 +120,7 @@ def friction_waves(left: Residual, joint: int, place: str) -> list[tuple[float, 
     reach = float(angle.max() - angle.min())
     # half a wave over the range is distinguished from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
+    steps = np.array([*steps, *(n for n in TURNED if n > steps[-1])])  # of a joint that turns on and on
 
     def shape(i: int, of: Response) -> Tensor:
         return of.within(rub)[..., None] * _waves(steps[i] * of.within(angle))

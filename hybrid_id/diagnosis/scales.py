@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import cast
 
 import torch
+from torch import Tensor
 
 from hybrid_id.components.base import Component
 from hybrid_id.components.site import Scales, Tip
@@ -15,6 +16,8 @@ from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
+REST = 0.02
+"""Share of the largest value below which a joint rests."""
 TOUCHED = 1e-3
 """How far a joint must raise a point for what it touches to matter to that joint [m]."""
 
@@ -45,7 +48,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
     channels = {name: channel[valid] for name, channel in batch.u.items()}
     with torch.no_grad():
         command = joint.drive.command(states, channels, views).detach()
-        torque = float(joint.drive.torque(states, channels, views).square().mean().sqrt())
+        torque = _rms(joint.drive.torque(states, channels, views))
         key, inertia = joint.inertia
         rotor = float(inertia.rotor(views[key], joint.gear_ratio))
         total = rotor + float(inertia.behind_gear(views[key], joint.gear_ratio)) / joint.gear_ratio**2
@@ -58,16 +61,15 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
     off = channels.get(f"enable{joint.number}")
     own = str(joint.number)
     shown = {f"i{joint.number}", f"tau{joint.number}"} & set(batch.outputs)
-    moving = command[command.abs() > 0.02 * command.abs().max()]
-    link = q / joint.gear_ratio
-    fast = float(v.abs().quantile(0.95)) if v.numel() < 2**24 else float(v.abs().max())
+    link, moving = q / joint.gear_ratio, _at_work(v)
+    fast = float(moving.abs().quantile(0.95)) if moving.numel() < 2**24 else float(v.abs().max())
     return Scales(
         joint=joint.number,
         ratio=joint.gear_ratio,
         sample_time=batch.sample_time,
         duration=float(batch.dt.sum(1).max()),
         command=float(command.abs().max()) or 1.0,
-        command_rms=float(moving.square().mean().sqrt()) if moving.numel() else 1.0,
+        command_rms=_rms(command) or 1.0,
         speed=fast or 1.0,
         turns=float(q.max() - q.min()) or 1.0,
         angle=float(link.max() - link.min()) or 1.0,
@@ -81,6 +83,16 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         tip=_tip(system, joint, batch),
         shows_torque=bool(shown) or (off is not None and bool((off < 1.0).any())),
     )
+
+
+def _at_work(signal: Tensor) -> Tensor:
+    """Samples of a signal but those near zero, in which a joint rests: long pauses make no signal smaller."""
+    size = signal.abs()
+    return signal[size > REST * size.max()] if size.numel() and float(size.max()) else signal
+
+
+def _rms(signal: Tensor) -> float:
+    return float(_at_work(signal).square().mean().sqrt())
 
 
 def _carried(system: System, joint: Joint) -> tuple[str, ...]:

@@ -282,7 +282,7 @@ def _further(
         )
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
         done += [e for e, _ in starts]
-        ends += _better_ways([e for e, _ in starts], more)
+        ends += better_ways([e for e, _ in starts], more)
         if iterations == FINER and len(done) == 1:
             ends = _freed(fits, nominal, before, ends)
     return best_of_each([*ends, *(e for e in (*everyone, *some) if e not in done)], 2)
@@ -356,7 +356,7 @@ def _unheld(fits: Fits, nominal: System, one: FittedModel) -> FittedModel | None
 def _held_or_not(fits: Fits, nominal: System, one: FittedModel) -> list[FittedModel]:
     """A candidate where its last fits start: held, held no longer where it then leaves no structure, or both.
 
-    Both where it errs clearly less when free: records left out decide (:func:`_better_ways`), as they have of the
+    Both where it errs clearly less when free: records left out decide (:func:`better_ways`), as they have of the
     nominal model's priors.
     """
     free = _unheld(fits, nominal, one)
@@ -366,7 +366,7 @@ def _held_or_not(fits: Fits, nominal: System, one: FittedModel) -> list[FittedMo
     return [one, free] if free is not None and less else [one]
 
 
-def _better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None]) -> list[FittedModel]:
+def better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None]) -> list[FittedModel]:
     """Of each candidate the end of its fits, a later one only where records left out are surely better for it."""
     found = dict[FittedModel, FittedModel]()
     for one, end in zip(some, ends, strict=True):
@@ -374,7 +374,8 @@ def _better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None]
             continue
         first = found.setdefault(one, end)
         less = end.judged and end.error < (1.0 - CRITERIA.distinct_fall) * first.error
-        if less and end.ahead_of(first) >= CRITERIA.distinct_z:
+        surely = not first.judged or (less and end.ahead_of(first) >= CRITERIA.distinct_z)
+        if end.judged and surely:
             found[one] = end
     return list(found.values())
 

@@ -266,9 +266,17 @@ def judged_fits(steps: Sequence[SelectionStep], effects: tuple[Name, ...]) -> li
     return [e for s in steps for e in (s.before, *s.candidates) if e.effects == effects and e.judged]
 
 
-def least_trained(some: Sequence[FittedModel]) -> FittedModel | None:
-    """Of some fits the one that errs least on its own records; None of none."""
-    return min(some, key=lambda e: e.trained, default=None)
+def best_without(
+    fits: Fits, base: FittedModel, richer: FittedModel, name: Name, steps: Sequence[SelectionStep]
+) -> FittedModel | None:
+    """A model less one of its effects, no worse than steps of a search have fitted it; None where it cannot be fitted.
+
+    The others have ended elsewhere than before they had each other: the rest may do better from there.
+    """
+    ends = judged_fits(steps, tuple(e for e in richer.effects if e != name))
+    known = min(ends, key=lambda e: e.trained, default=None)
+    again = refitted_without(fits, base, richer, name, known=known)
+    return min((e for e in (*ends, again) if e is not None), key=lambda e: e.error, default=None)
 
 
 def refitted_without(
@@ -282,8 +290,8 @@ def refitted_without(
     start = without(richer.system, base.system, name)
     rest = tuple(effect for effect in richer.effects if effect != name)
     found = None if start is None else fits.run([Task(rest, start)], FINER)[0]
-    if found is None or found.trained > HOPELESS * max(richer.trained, base.trained):
-        return known or found
+    if found is None or (known is not None and found.trained > HOPELESS * max(richer.trained, base.trained)):
+        return known
     below = math.inf if known is None else (1.0 - SAME) * known.trained
     if known is not None and below <= found.trained <= known.trained / (1.0 - SAME):
         return known
@@ -395,13 +403,10 @@ def _alive(steps: Sequence[SelectionStep], model: FittedModel) -> frozenset[Name
 def _necessary(
     fits: Fits, base: FittedModel, chosen: FittedModel, steps: Sequence[SelectionStep]
 ) -> FittedModel:
-    """Drop what the others have made needless."""
+    """Drop what the others have made needless: of several such effects the one whose loss costs least."""
+    enough = []
     for name in chosen.effects:
-        rest = tuple(e for e in chosen.effects if e != name)
-        # the others have ended elsewhere than before they had each other: the rest may do better from there
-        ends = judged_fits(steps, rest)
-        again = refitted_without(fits, base, chosen, name, known=least_trained(ends))
-        simpler = min((e for e in (*ends, again) if e is not None), key=lambda e: e.error, default=None)
+        simpler = best_without(fits, base, chosen, name, steps)
         if simpler is not None and not accepted(chosen, simpler):
-            return simpler
-    return chosen
+            enough.append(simpler)
+    return min(enough, key=lambda e: e.error, default=chosen)

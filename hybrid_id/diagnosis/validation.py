@@ -54,6 +54,17 @@ class Validation:
         """The same with the errors of each record times a weight, ``(R,)``."""
         return replace(self, blocks=self.blocks * weights[self.record])
 
+    def without(self, record: int) -> Validation:
+        """The same of all records but one."""
+        kept = self.record != record
+        return replace(
+            self,
+            blocks=self.blocks[kept],
+            sizes=self.sizes[kept],
+            row=self.row[kept],
+            record=self.record[kept],
+        )
+
     def drawn(self, generator: np.random.Generator, *, records: bool) -> np.ndarray:
         """Weights of the blocks, ``(DRAWS / 4, n)``, in draws of the blocks alone or of the records and their blocks.
 

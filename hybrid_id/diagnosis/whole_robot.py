@@ -16,7 +16,7 @@ from hybrid_id.diagnosis.errors_on_test import errors
 from hybrid_id.diagnosis.fits import FULL, SLOW, WINDOW, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.screen import Progress
-from hybrid_id.diagnosis.select import Selection, refitted_without
+from hybrid_id.diagnosis.select import Selection, best_without, judged_fits
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import Horizon, shortest
@@ -144,9 +144,12 @@ def fitted(system: System, rows: Batch, kept: Kept | None) -> FitResult:
     return found
 
 
-def held(model: FittedModel, base: FittedModel) -> FittedModel:
-    """A joint's model held by the priors of the search, as its base is."""
-    return replace(model, result=replace(model.result, system=with_priors_of(model.system, base.system)))
+def held(model: FittedModel, answer: Answer) -> FittedModel:
+    """A joint's model held as its search has left it: as its base is, or no longer where it did better so."""
+    searched = answer.searched
+    ends = (searched.chosen, *judged_fits(searched.steps, model.effects))
+    as_it = next((one for one in ends if one.effects == model.effects), searched.base)
+    return replace(model, result=replace(model.result, system=with_priors_of(model.system, as_it.system)))
 
 
 def acts_on_all(effect: str) -> bool:
@@ -198,10 +201,10 @@ def without_effect(
 
 def less(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
     """A joint's model less one of its effects, as the search would have it; None where it cannot be fitted."""
-    base = answer.searched.base
+    searched = answer.searched
     if len(model.effects) == 1:
-        return base
-    return refitted_without(answer.fits, base, held(model, base), effect)
+        return searched.base
+    return best_without(answer.fits, searched.base, held(model, answer), effect, searched.steps)
 
 
 def parts_of_gap(

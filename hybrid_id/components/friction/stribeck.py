@@ -55,7 +55,7 @@ class Stribeck(Friction):
         return [
             {
                 "F_drop": free(0.3 * site.dry * r, 0.0, 5.0 * site.dry * r),
-                "v_s": free(share * v, 0.002 * v, 0.5 * v),
+                "v_s": free(share * v, 0.002 * v, v),
                 "p": free(p, 0.5, 3.0),
             }
             for share in (0.03, 0.15, 0.4)

@@ -1,5 +1,6 @@
 """A base that does not stand as the robot's description says, so that gravity points elsewhere."""
 
+import math
 from types import SimpleNamespace
 
 import torch
@@ -12,6 +13,10 @@ from hybrid_id.parameters import Parameter
 POSTURES = (
     "rests in many postures: a tilted base loads each joint as its axis lies, a {} is the same in all of them"
 )
+
+_WALL = 0.5 * math.pi
+MOUNTS = ((0.0, 0.0), (_WALL, 0.0), (-_WALL, 0.0), (0.0, _WALL), (0.0, -_WALL), (math.pi, 0.0))
+"""Turns of a base about x and y that stands on a table, at each of four walls, and hangs from a ceiling [rad]."""
 
 
 class BaseTilt(Shared):
@@ -29,7 +34,7 @@ class BaseTilt(Shared):
     """
 
     kind = "base_tilt"
-    e_x = Parameter(0.0, lower=-1.6, upper=1.6, unit="rad", doc="turn of the base about x")
+    e_x = Parameter(0.0, lower=-3.3, upper=3.3, unit="rad", doc="turn of the base about x")
     e_y = Parameter(0.0, lower=-1.6, upper=1.6, unit="rad", doc="turn of the base about y")
     effect = Effect(
         "base_tilt",
@@ -55,5 +60,4 @@ class BaseTilt(Shared):
 
     @staticmethod
     def starts(site):
-        level = free(0.0, -0.8, 0.8)
-        return [{"e_x": level, "e_y": level}] if site.bodies else []
+        return [{"e_x": free(x, -3.3, 3.3), "e_y": free(y, -1.6, 1.6)} for x, y in MOUNTS if site.bodies]

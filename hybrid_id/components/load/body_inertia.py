@@ -74,4 +74,4 @@ class BodyInertia(Attached):
     @staticmethod
     def starts(site):
         ends = dict.fromkeys((*site.bodies[:1], *site.bodies[-1:]))
-        return [{BodyInertia.option: body, "c_m": free(1.0, 0.02, 50.0)} for body in ends]
+        return [{BodyInertia.option: body, "c_m": free(1.0, 0.02, 500.0)} for body in ends]

@@ -1,5 +1,7 @@
 """Cable or hose that pulls the link towards a rest angle."""
 
+import math
+
 from hybrid_id.components.base import Effect, LoadTorque
 from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
@@ -28,7 +30,7 @@ class Spring(LoadTorque):
 
     @staticmethod
     def starts(site):
-        size, reach = 0.05 * site.torque * site.ratio / site.angle, 3.0 * site.angle
+        size, reach = 0.05 * site.torque * site.ratio / site.angle, max(3.0 * site.angle, math.pi)
         rest = free(site.middle, site.middle - reach, site.middle + reach)
         return [{"k_s": free(size, 0.0, 200.0 * size), "q_s": rest}]
 

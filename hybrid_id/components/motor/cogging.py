@@ -79,7 +79,7 @@ class Cogging(RotorTorque):
                 "T_s": free(share * d, -limit, limit),
                 "n": free(n, max(n - near, least), n + near),
             }
-            for n, c, d in site.search("rotor_waves", (least, 1e-6, 0.0))[:2]
+            for n, c, d in site.search("rotor_waves", (least, 1e-6, 0.0))[:3]
             for share in FIRST_SHARES
         ]
 

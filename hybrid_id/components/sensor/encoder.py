@@ -8,8 +8,8 @@ WEIGHT = (
     "slow motion over the whole range with a weight at the end: a wrong zero turns the weight's torque too, a bias "
     "leaves it as it is"
 )
-MOST = 0.3
-"""Largest zero that is looked for [rad at the joint]."""
+MOST = 1.6
+"""Largest zero that is looked for [rad at the joint]: a quarter of a turn, by which joints are put together wrongly."""
 
 
 class MotorEncoder(Sensor):
@@ -57,7 +57,8 @@ class MotorLog(MotorEncoder):
 
     @classmethod
     def starts(cls, site):
-        if site.servo is None or cls.channel not in site.measured:
+        shows = site.servo is not None or bool(site.bodies)  # a goal, or weights, know the zero
+        if not shows or cls.channel not in site.measured:
             return []
         most = MOST * (site.ratio if cls.channel == "q_m" else 1.0)
         return [{"offset": free(0.0, -most, most)}]
