@@ -78,7 +78,7 @@ class Judged:
 def judged_by_all(robot: WholeRobot) -> dict[str, Answer]:
     """The joints' answers, with what acts on all joints where several of them together make it probable.
 
-    Asked is what two joints or more find likely. The others move as they were measured.
+    Asked is what two joints or more find likely and not all of these assert. The others move as they were measured.
     """
     found = dict(robot.answers)
     for effect, each in _witnesses(robot.answers):
@@ -112,9 +112,12 @@ def _witnesses(answers: Mapping[str, Answer]) -> list[tuple[What, dict[str, Witn
                 rival = max(others, key=lambda e: odds[added_effect(e, step.before)], default=None)
                 witness = Witness(effect, step.before, model, rival, effect in asserted)
                 found[what(effect, model.system)][name] = witness
-    return sorted(
-        ((effect, each) for effect, each in found.items() if len(each) > 1), key=lambda one: -len(one[1])
-    )
+    asked = [
+        (effect, each)
+        for effect, each in found.items()
+        if len(each) > 1 and not all(witness.asserted for witness in each.values())
+    ]
+    return sorted(asked, key=lambda one: -len(one[1]))
 
 
 def _without(robot: WholeRobot, effect: What, each: Mapping[str, Witness]) -> dict[str, FittedModel] | None:

@@ -35,8 +35,8 @@ ROUNDING = 1e-10
 """Share of a shape's squares beside the model's own parameters, below which these do the same."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
-TURNED = (1, 2, 3, 4)
-"""Waves of friction a turn that a shaft may have, however many turns it makes."""
+TURNED = 4
+"""Most whole waves of friction a turn that are looked for, however many turns a shaft makes."""
 SPOTS = 24
 """Places of a tight spot over the joint's range."""
 WIDTHS = (0.03, 0.07, 0.15)
@@ -120,7 +120,7 @@ def friction_waves(left: Residual, joint: int, place: str) -> list[tuple[float, 
     reach = float(angle.max() - angle.min())
     # half a wave over the range is distinguished from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
-    steps = np.array([*steps, *(n for n in TURNED if n > steps[-1])])  # of a joint that turns on and on
+    steps = np.array([*steps, *(n for n in range(1, TURNED + 1) if n > steps[-1])])  # of a joint that turns on and on
 
     def shape(i: int, of: Response) -> Tensor:
         return of.within(rub)[..., None] * _waves(steps[i] * of.within(angle))

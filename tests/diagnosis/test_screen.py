@@ -13,7 +13,7 @@ from hybrid_id.components import Cogging
 from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
-    _better_ways,
+    better_ways,
     _from_afar,
     _judged_below,
     _worth_it,
@@ -334,5 +334,5 @@ def test_of_both_ways_the_free_one_is_taken_where_records_left_out_say_so(
     held = Fitted((("spring_load", "joint1/load"),), 1.0, no_structure=False, system="held")
     free = Fitted(held.effects, error, z=z, no_structure=False, judged=judged, system="free")
     one, other = cast(Any, Fitted(held.effects, 1.2)), cast(Any, Fitted((), 2.0))
-    found = _better_ways([one, one, other, other], cast(Any, [held, free, None, held]))
+    found = better_ways([one, one, other, other], cast(Any, [held, free, None, held]))
     assert [end.system for end in found] == [kept, "held"]

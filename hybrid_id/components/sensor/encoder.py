@@ -1,5 +1,7 @@
 """Encoders, and logs whose zero is another than theirs."""
 
+import math
+
 from hybrid_id.components.base import Effect, Sensor
 from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
@@ -8,7 +10,7 @@ WEIGHT = (
     "slow motion over the whole range with a weight at the end: a wrong zero turns the weight's torque too, a bias "
     "leaves it as it is"
 )
-MOST = 1.6
+MOST = 0.5 * math.pi
 """Largest zero that is looked for [rad at the joint]: a quarter of a turn, by which joints are put together wrongly."""
 
 
