@@ -20,6 +20,8 @@ from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis
+from hybrid_id.diagnosis.catalogue import effect as effect_of
+from hybrid_id.diagnosis.catalogue import with_effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.scales import scales
@@ -263,6 +265,37 @@ def test_a_tilted_base_a_taut_cable_and_a_floor_are_named_among_loads(
         found = diagnose_arm(dataset, nominal, joints=["lift"], max_effects=1)
     (best,) = found.selected
     assert effect in {best.name, *(tie.split("@")[0] for tie in best.tied_with)} and best.probability > 0.3
+
+
+def test_an_arm_on_a_wall_is_told_from_one_on_a_table(nominal: System) -> None:
+    dataset = records_of(nominal.with_component("joint2/load", BaseTilt(e_y=0.5 * np.pi)))
+    with only("base_tilt", "constant_torque", "link_mass"):
+        found = diagnose_arm(dataset, nominal, joints=["lift"], max_effects=1)
+    (best,) = found.selected
+    assert best.name == "base_tilt" and best.parameters["e_y"][0] == pytest.approx(0.5 * np.pi, abs=0.02)
+    assert best.share is not None and best.share > 0.95
+
+
+def test_a_zero_that_is_two_teeth_off_is_no_torque(nominal: System) -> None:
+    machine = nominal.with_component("joint2/sensor", REGISTRY["motor_log"](offset=0.5))
+    with only("encoder_zero", "constant_torque"):
+        found = diagnose_arm(records_of(machine), nominal, joints=["lift"], max_effects=2)
+    (best,) = found.selected
+    assert best.name == "encoder_zero" and best.parameters["offset"][0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_the_robot_lists_at_another_joint_is_not_tried(nominal: System) -> None:
+    known = nominal.with_component("joint3/load", BodyInertia("elbow_link", c_m=1.0))
+    dataset = records_of(known, 2)
+    tried = {}
+    for name, robot in (("plain", nominal), ("known", known)):
+        one, records = alone(robot, 1), with_others_measured(dataset, robot, 1)
+        size = scales(one, batch_of(records, one, records.train))[0]
+        models = with_effect(effect_of("link_mass"), one, size).get("joint2/load", [])
+        tried[name] = {
+            part.point for m in models for part in m.components.values() if isinstance(part, BodyInertia)
+        }
+    assert "elbow_link" in tried["plain"] and "elbow_link" not in tried["known"]
 
 
 def test_a_floor_is_suspected_where_the_joint_raises_a_point_of_the_last_link(nominal: System) -> None:

@@ -1,7 +1,7 @@
 """What a joint's own records cannot distinguish, all joints simulated can."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +14,7 @@ from servo_arm import described, of_joint, records_of
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY, Component
 from hybrid_id.diagnosis.diagnose import Answer
-from hybrid_id.diagnosis.distinguish import _compared, distinguished
+from hybrid_id.diagnosis.distinguish import _compared, _held_alike, distinguished
 from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_step
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
@@ -135,3 +135,24 @@ def test_fewer_parameters_are_no_merit_of_a_robot_that_errs_clearly_more() -> No
     assert best is not None and best.candidates[0] == "rich"
     assert alike is not None and alike.candidates[0] == "poor"
     assert best.odds[0] == alike.odds[0] == 0.0 and best.odds[1] < 0.0 and alike.odds[1] < 0.0
+
+
+def test_explanations_are_compared_held_alike(nominal: System) -> None:
+    """A free drive takes what a wrong explanation leaves, and would win over a held one that is right."""
+    (name,) = (i.name for i in nominal.table if i.symbol == "k_p" and i.component.startswith("joint2"))
+    spec = nominal.parameter(name).spec
+    tied = nominal.with_specs({name: replace(spec, prior_mean=spec.value, prior_std=0.01 * spec.value)})
+
+    @dataclass
+    class Fit:
+        system: System
+
+    def of(system: System) -> Any:
+        unseen: Any = None
+        fit: Any = Fit(system)
+        return FittedModel((), fit, unseen)
+
+    both = _held_alike([of(tied), of(nominal)], nominal)
+    assert all(one.system.parameter(name).spec.prior_std is None for one in both)
+    alike = _held_alike([of(tied), of(tied)], nominal)
+    assert all(one.system.parameter(name).spec.prior_std for one in alike)

@@ -49,6 +49,29 @@ def test_a_drive_that_never_moves_has_scales_to_divide_by() -> None:
     assert min(size.speed, size.turns, size.angle, size.torque, size.command, size.command_rms) == 1.0
 
 
+def test_long_rests_make_nothing_smaller() -> None:
+    """A pause of any length after a move: what moves is as fast and as strong as it was."""
+    dataset, today = small_case()
+    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    x, pause = batch.x, 40 * batch.x.shape[1]
+
+    def paused(signal: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
+        return torch.cat([signal, last.expand(len(signal), pause, *signal.shape[2:])], 1)
+
+    rest = x[:, -1:].clone()
+    rest[..., 1] = 1e-3 * x[..., 1].abs().max()  # an encoder's noise
+    longer = replace(
+        batch,
+        x=paused(x, rest),
+        u={name: paused(u, torch.zeros(1, 1)) for name, u in batch.u.items()},
+        weight=paused(batch.weight, batch.weight[:, -1:]),
+    )
+    plain, known = (scales(today, one)[0] for one in (batch, longer))
+    assert known.speed == pytest.approx(plain.speed, rel=0.01)
+    assert known.torque == pytest.approx(plain.torque, rel=0.01)
+    assert known.command_rms == pytest.approx(plain.command_rms)
+
+
 def test_friction_on_the_links_side_of_a_rigid_gear_is_known() -> None:
     dataset, today = small_case()
     level = today.parameter("F_c").spec.value

@@ -13,11 +13,11 @@ from hybrid_id.components import Cogging
 from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
 from hybrid_id.diagnosis.screen import (
     SelectionStep,
-    better_ways,
     _from_afar,
     _judged_below,
     _worth_it,
     best_of_each,
+    better_ways,
     effects_of,
     promising,
     simplest_first,

@@ -15,8 +15,10 @@ from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
     Selection,
     _alive,
+    _necessary,
     _with_whole_numbers,
     accepted,
+    best_without,
     chance,
     leaves_something,
     needed_fall,
@@ -137,6 +139,41 @@ def test_a_model_that_errs_no_less_than_it_is_known_to_is_as_it_is_known(
     found = refitted_without(fits, known, rich, PLAY, known=known)
     assert found is not None and found.judged and seen == asked
     assert (found is known) == (taken == "known")
+
+
+def test_a_hopeless_model_that_is_not_known_is_judged_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has seen the records that judge the others, and may not be compared with them before."""
+    monkeypatch.setattr("hybrid_id.diagnosis.select.without", lambda *_: "start")
+
+    def run(tasks: list[Task], iterations: int) -> list[FittedModel]:
+        return [replace(model(3.0 * NOISE), judged=iterations == FULL)]
+
+    fits: Any = SimpleNamespace(run=run)
+    found = refitted_without(fits, model(NOISE), model(0.9 * NOISE, PLAY), PLAY)
+    assert found is not None and found.judged
+
+
+def test_a_model_less_an_effect_predicts_as_well_as_the_search_has_fitted_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known, both = model(NOISE, PLAY), model(0.9 * NOISE, DELAY, PLAY)
+    worse = replace(
+        model(0.95 * NOISE, PLAY), validation=model(2.0 * NOISE).validation
+    )  # but for its own records
+    monkeypatch.setattr("hybrid_id.diagnosis.select.refitted_without", lambda *_, known: worse)
+    steps = [SelectionStep(model(2.0 * NOISE), (known,))]
+    fits: Any = None
+    assert best_without(fits, model(2.0 * NOISE), both, DELAY, steps) is known
+    assert best_without(fits, model(2.0 * NOISE), both, DELAY, []) is worse
+
+
+def test_of_needless_effects_the_one_whose_loss_costs_least_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = model(NOISE, DELAY, PLAY)
+    rests = {DELAY: model(1.0 * NOISE, PLAY), PLAY: model(0.999 * NOISE, DELAY)}
+    for name in ("hybrid_id.diagnosis.select.best_without",):
+        monkeypatch.setattr(name, lambda fits, base, richer, effect, steps: rests[effect])
+    fits: Any = None
+    assert _necessary(fits, model(2.0 * NOISE), both, []) is rests[PLAY]
 
 
 def test_short_runs_say_how_probable_the_first_effects_are_and_whole_records_what_comes_beside() -> None:

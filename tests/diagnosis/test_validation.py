@@ -251,6 +251,13 @@ def test_a_draw_of_records_weighs_them_whole_and_lacks_none() -> None:
         assert draws.mean(2).var(0).mean() == pytest.approx(spread, rel=0.2)
 
 
+def test_errors_of_all_records_but_one(rng: np.random.Generator) -> None:
+    errors = noise(rng)
+    rest = seen(errors).without(1)
+    assert rest.error == pytest.approx(mean_square([errors[0], errors[2]]))
+    assert set(rest.record) == set(rest.row) == {0, 2}
+
+
 def test_the_record_that_an_effect_rests_on_is_told() -> None:
     def of(*sizes: float) -> Validation:
         return validation([np.full((100, 1), size) for size in sizes], 0.01, ["a", "b", "c"])

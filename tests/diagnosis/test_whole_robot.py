@@ -1,11 +1,14 @@
 """How long a whole robot runs free."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 from gapcase import small_case
 
-from hybrid_id.diagnosis.whole_robot import common_horizon
+from hybrid_id.diagnosis.fits import Fits, Task, with_priors
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.whole_robot import common_horizon, held
 from hybrid_id.identification.horizons import WHOLE, Horizon
 
 
@@ -26,3 +29,21 @@ def test_runs_that_have_lost_their_records_begin_again_from_measured_states() ->
     assert found.seconds == short.seconds and "elbow" in found.reason and "lift" not in found.reason
     # what a joint asks for anyway stays
     assert common_horizon({"lift": answer(short, 1.0), "elbow": lost}, 0.1) == short
+
+
+def test_a_joint_is_held_as_its_search_has_left_it() -> None:
+    """Priors that the search itself has dropped would pull the others back to values that are wrong."""
+    dataset, nominal = small_case()
+    fits = Fits(dataset)
+    free = fits.run([Task((), nominal)], 4)[0]
+    assert free is not None
+    base = replace(free, result=replace(free.result, system=with_priors(nominal, nominal, free, 0.1)))
+    spring = ("spring_load", "joint1/load")
+    richer = replace(free, effects=(spring,))
+
+    def priors(chosen: FittedModel) -> list[float | None]:
+        answer: Any = SimpleNamespace(searched=SimpleNamespace(chosen=chosen, base=base, steps=()))
+        return [info.spec.prior_std for info in held(richer, answer).system.table]
+
+    assert not any(priors(richer)) and any(priors(replace(base, effects=(spring,))))
+    assert any(priors(base))  # what the search has not fitted is held as its base is
