@@ -120,7 +120,9 @@ def friction_waves(left: Residual, joint: int, place: str) -> list[tuple[float, 
     reach = float(angle.max() - angle.min())
     # half a wave over the range is distinguished from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
-    steps = np.array([*steps, *(n for n in range(1, TURNED + 1) if n > steps[-1])])  # of a joint that turns on and on
+    steps = np.array(
+        [*steps, *(n for n in range(1, TURNED + 1) if n > steps[-1])]
+    )  # of a joint that turns on and on
 
     def shape(i: int, of: Response) -> Tensor:
         return of.within(rub)[..., None] * _waves(steps[i] * of.within(angle))

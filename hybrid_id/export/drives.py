@@ -180,6 +180,7 @@ class Drives:
         if torque:
             attributes = {
                 "name": name,
+                "gear": "1",
                 "gainprm": "0",
                 "biastype": "affine",
                 "biasprm": f"{number(-torque)} 0 0",

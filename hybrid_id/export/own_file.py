@@ -54,6 +54,10 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
     path = Path(tree.source)
     spec, text = read_spec(path), path.read_bytes().decode("utf-8")
     if converted := _Text(text).root == "robot":
+        for (
+            geom
+        ) in spec.worldbody.geoms:  # of its base, which as a part of the world would touch the first link
+            geom.contype = geom.conaffinity = 0
         text = spec.to_xml()
     exported = _Edit(system, tree, path, text, compiled(path, spec), step).build(converted=converted)
     try:
@@ -198,6 +202,9 @@ class _Edit(Drives):
         super().__init__(system, step or float(model.opt.timestep))
         self.tree, self.path, self.model = tree, path, model
         self.text, self.set_step = _Text(text), step is not None
+        self.elements = [*self.text.elements]
+        for included in _included(text, path.parent).values():
+            self.elements += _Text(included.decode("utf-8")).elements
         self.added: list[str] = []
         self.shafts: list[str] = []
         self.replaced: dict[tuple[str, str], list[str]] = {}
@@ -212,13 +219,15 @@ class _Edit(Drives):
             self._joint(joint, known)
             for joint, known in zip(self.system.joints, self.tree.joints, strict=True)
         )
-        self.added += [_written(tag, attributes) for tag, attributes in self.passive]
+        self.added += [_written(tag, self._alone(tag, attributes)) for tag, attributes in self.passive]
         self._masses()
         self.notes += carried([*self.system.networks.items(), *self.system.arm.contacts], self.p)[1]
         for (old, command), names in self.replaced.items():
             self.notes.append(f"{', '.join(names)}: in the place of a {old} the actuator takes the {command}")
         own = re.compile(r"\bjoint(\d+)(?=/)")
         notes = [own.sub(lambda found: self.tree.names[int(found[1]) - 1], note) for note in self.notes]
+        if self.tree.held:
+            notes.append(f"{', '.join(self.tree.held)}: held still by an equality, as in the model")
         if converted:
             notes.insert(
                 0, f"{self.path.name} is a URDF, which has no place for a rotor: MuJoCo made an MJCF of it"
@@ -228,6 +237,13 @@ class _Edit(Drives):
         return Mjcf(
             str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None
         )
+
+    def _alone(self, tag: str, attributes: Attributes) -> Attributes:
+        """Attributes of an actuator of friction or a bias, of which no default of the file sets any other."""
+        if tag != "general" or not any("default" in e.above for e in self.elements):
+            return attributes
+        plain = {"dyntype": "none", "gaintype": "fixed", "ctrllimited": "false", "gear": "1"}
+        return plain | {"forcelimited": str("forcerange" in attributes).lower()} | attributes
 
     def _masses(self) -> None:
         """Write inertias that differ from the file's into their bodies, and payloads as bodies of their own."""
@@ -245,7 +261,7 @@ class _Edit(Drives):
 
     def _overruled(self) -> str:
         """What of the file takes masses from elsewhere than its bodies' own elements; empty where nothing does."""
-        for compiler in (e.values for e in self.text.elements if e.tag == "compiler"):
+        for compiler in (e.values for e in self.elements if e.tag == "compiler"):
             for name in ("inertiafromgeom", "settotalmass"):
                 if compiler.get(name, "auto") not in ("auto", "false"):
                     return f'the file\'s compiler has {name}="{compiler[name]}"'
@@ -300,12 +316,29 @@ class _Edit(Drives):
             lines += ["<actuator>", *(f"  {line}" for line in self.added), "</actuator>"]
         if self.shafts:
             lines += ["<tendon>", *(f"  {line}" for line in self.shafts), "</tendon>"]
+        if self.tree.held:
+            lines += ["<equality>", *(f"  {line}" for line in self._still()), "</equality>"]
         if self.set_step:
             lines.append(f'<option timestep="{number(self.step)}"/>')
         if self.system.arm.tilts:
             pull = self.tree.falling(self.system.arm.gravity(self.p)).gravity
             lines.append(_written("option", {"gravity": numbers(pull)}))
         self.text.append(root, lines)
+
+    def _still(self) -> list[str]:
+        """Joints that the model holds still, held there by the engine: their angle less that at which it is drawn."""
+        stiff = {"solref": f"{number(2.0 * self.step)} 1", "solimp": "0.99 0.999 0.001"}
+        return [
+            _written(
+                "joint",
+                {
+                    "joint1": name,
+                    "polycoef": f"{number(at - float(self.model.joint(name).qpos0[0]))} 0 0 0 0",
+                }
+                | stiff,
+            )
+            for name, at in self.tree.held.items()
+        ]
 
     def _joint(self, joint: Joint, known: TreeJoint) -> str:
         """Write a joint's drive; returns the name of its actuator."""
@@ -359,7 +392,7 @@ class _Edit(Drives):
 
     def _in_degrees(self) -> bool:
         """Whether angles of the text are in degrees, as MJCF's are unless it says otherwise."""
-        said = [e.values["angle"] for e in self.text.elements if e.tag == "compiler" and "angle" in e.values]
+        said = [e.values["angle"] for e in self.elements if e.tag == "compiler" and "angle" in e.values]
         return said[-1] != "radian" if said else True
 
     def _motor(self, joint: Joint, known: TreeJoint, tag: str, attributes: Attributes) -> str:

@@ -247,6 +247,8 @@ def _mujoco_replay(
             state |= {gear: [b - a for a, b in zip(rotor, link, strict=True)]} if gear else {name: link}
         for hinge, (angle, speed) in state.items():
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
+    for hinge, angle in (system.tree.held if system.tree else {}).items():
+        data.joint(hinge).qpos[:] = angle
     motors = [model.actuator(name).id for name in exported.motors]
     commands = [
         _Command(system, joint, exported, record, model, bool(model.actuator_biastype[motor]))

@@ -36,6 +36,7 @@ def kinds_of(columns: Sequence[ColumnWords], evidence: Evidence) -> dict[str, li
     found.smoothest_as_angle()
     found.bare_v()
     found.command()
+    found.supply()
     return found.kinds
 
 
@@ -58,6 +59,17 @@ class _Kinds:
         self.evidence.proposal.guesses.append(Guess(f"column {one.name}", kind, why, sure))
         if not sure:
             self.evidence.ask(f"Is the column '{one.name}' the {kind}? ({why})")
+
+    def supply(self) -> None:
+        """A voltage beside a goal or a duty that never falls to half of its largest value is the supply's."""
+        if not (self.kinds.get("goal") or self.kinds.get("duty")):
+            return
+        for one in list(self.kinds.get("voltage", [])):
+            if not one.command and self.evidence.span(one.name) < 0.5 * self.evidence.far(one.name):
+                self.kinds["voltage"].remove(one)
+                self.kinds.setdefault("supply", []).append(one)
+                why = "a voltage that never falls to half of its largest value, beside a goal or a duty"
+                self.evidence.proposal.guesses.append(Guess(f"column {one.name}", "supply", why, True))
 
     def state_of_lerobot(self) -> None:
         """The one measured column of a joint in a LeRobot dataset is its angle."""

@@ -183,13 +183,13 @@ FILLERS = frozenset(
 )
 VOCABULARY = frozenset().union(*KINDS.values(), COMMAND, MEASURED, LINK, MOTOR, FILLERS)
 UNITS: tuple[tuple[str, str], ...] = (
-    (r"rad(ians?)?\s*(/|_per_|_|p)\s*s(ec)?\b", "rad/s"),
+    (r"(?<![a-z])rad(ians?)?\s*(/|_per_|_|p)\s*s(ec)?\b", "rad/s"),
     (r"(deg(rees?)?|°)\s*(/|_per_|_|p)\s*s(ec)?\b|\bdps\b", "deg/s"),
     (r"rev\s*(/|_per_|p)\s*s(ec)?\b", "rev/s"),
     (r"rpm\b", "rpm"),
     (r"mrad\b", "mrad"),
     (r"(deg|degrees?|°)(?![a-z])", "deg"),
-    (r"rad(ians?)?\b", "rad"),
+    (r"(?<![a-z])rad(ians?)?\b", "rad"),
     (r"(rev|turns?|revolutions?|rotations)\b", "rev"),
     (r"(counts?|ticks|lsb)\b", "counts"),
     (r"(?<![a-z])mv\b|millivolts?", "mV"),
@@ -197,6 +197,8 @@ UNITS: tuple[tuple[str, str], ...] = (
     (r"(?<![a-z])ma\b|milliamps?", "mA"),
     (r"amps?\b|amperes?\b|[\[(]a[\])]", "A"),
     (r"(?<![a-z])mn[ ·*_]?m\b", "mN m"),
+    (r"(?<![a-z])n[ ·*_]?cm\b", "N cm"),
+    (r"(?<![a-z])n[ ·*_]?mm\b", "mN m"),
     (r"(?<![a-z])n[ ·*_]?m\b", "N m"),
     (r"percent\b|pct\b|%", "%"),
     (r"(?<![a-z])ms\b|millis|milliseconds?", "ms"),

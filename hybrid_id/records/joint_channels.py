@@ -53,6 +53,8 @@ RESTS = 0.05
 """Span of a joint's angle, relative to its size, up to which a joint whose goal stands still does, too."""
 BEYOND = {"V": 200.0, "A": 100.0}
 """Voltage and current that no drive's log exceeds: larger numbers without a unit are thousandths."""
+PARTS = {"mN m": 1e-3, "N cm": 1e-2}
+"""Units of a torque by their parts of a newton metre."""
 FITTED = 8
 """Logs whose acceleration is fitted, those in which the joint moves most; of their fits the median is taken."""
 
@@ -427,9 +429,9 @@ class _Joint:
                     "outputs; log the command, too."
                 )
         elif command == "torque":
-            milli, slide = column.unit == "mN m", self.joint is not None and self.joint.slide
-            unit = "mN m" if milli else "N" if slide else "N m"
-            self._simple(chosen, column, unit, 1e-3 if milli else 1.0)
+            part, slide = PARTS.get(column.unit, 1.0), self.joint is not None and self.joint.slide
+            unit = column.unit if part != 1.0 else "N" if slide else "N m"
+            self._simple(chosen, column, unit, part)
             if not column.command:
                 self.evidence.ask_of(
                     column.name, "Commanded torque, and in N m: {}? Servos log a load or a current so."
@@ -475,10 +477,25 @@ class _Joint:
             chosen.unit, chosen.scale, chosen.factor = angle.unit, abs(angle.scale), abs(angle.factor)
         else:
             self._scale_angle(chosen, guess.value)
+        if angle is not None and angle.unwrap and self._jumps(column, angle.unwrap):
+            self.evidence.ask(
+                f"The goal '{column.name}' jumps by a whole turn as '{angle.column}' does, which cannot be undone "
+                "alike for both: is there a goal without jumps? Sign, zero and delay are not to be trusted until then."
+            )
         if not guess.sure:
             self.evidence.ask(
                 f"In which unit is the goal '{column.name}'? It is taken in {chosen.unit}: {guess.evidence}."
             )
+
+    def _whole(self, column: ColumnWords) -> bool:
+        """Whether a column holds whole numbers alone, as counters and timers do."""
+        logs = self.evidence.liveliest(column.name, 3)
+        return all(bool(np.all(np.mod(log.columns[column.name], 1.0) == 0.0)) for log in logs)
+
+    def _jumps(self, column: ColumnWords, turn: float) -> bool:
+        """Whether a column jumps by nearly a turn, in the file's numbers."""
+        steps = [np.abs(np.diff(log.columns[column.name])) for log in self.evidence.logs]
+        return max((float(step.max()) for step in steps if step.size), default=0.0) > 0.8 * turn
 
     def _duty(self, chosen: Chosen, column: ColumnWords) -> None:
         """A duty with a logged supply stays one; with a constant supply it is a voltage."""
@@ -489,14 +506,17 @@ class _Joint:
         )
         top = next((top for top in DUTY_TOPS if far <= 1.001 * top), far)
         words = f"values up to {far:.4g}: {top:g} is full duty"
-        if top not in (1.0, 100.0):
+        said = top == 1.0 or (
+            top == 100.0 and (column.unit == "%" or not self._whole(column) or far > 0.98 * top)
+        )
+        if not said:
             self.evidence.ask(
                 f"Which value of '{column.name}' is full duty? {top:g} is assumed, for it goes up to {far:.4g}."
             )
         if supply := self.kinds.get("supply"):
             chosen.unit, chosen.scale = ("%", 1.0) if top == 100.0 else ("1", 1.0 / top)
             chosen.factor = 1.0 / top
-            chosen.guesses.append(Guess(about, chosen.unit, words, top in (1.0, 100.0)))
+            chosen.guesses.append(Guess(about, chosen.unit, words, said))
             unit, factor = self._volts_or_amps(supply[0], "V")
             name = f"supply{number}"
             guesses = [_why(name, supply[0], "supply")]

@@ -27,6 +27,8 @@ COUNTS = 4096
 """Counts a turn of the usual 12-bit encoder."""
 JITTER = 0.01
 """Share of the median step by which steps may differ before resampling is proposed."""
+FAR_OFF = 1.5
+"""Factor by which a speed is off the derivative of its angle for its unit not to be the one of its name."""
 FASTEST = 1500.0
 """Speed [rad/s] that hardly any motor exceeds."""
 RELATED = 0.9
@@ -405,9 +407,14 @@ def speed_unit(ratio: float, angle_factor: float, about: str, said: str = "") ->
         about: what the guess is about.
         said: unit in the column's name.
     """
-    if said in SPEED_FACTORS:
-        return Guess(about, said, "its name says so")
     factor = abs(ratio) * angle_factor
+    if said in SPEED_FACTORS:
+        times = factor / SPEED_FACTORS[said]
+        if not ratio or 1.0 / FAR_OFF < times < FAR_OFF:
+            return Guess(about, said, "its name says so")
+        return Guess(
+            about, said, f"its name says so, yet the derivative of the angle is {times:.3g} times it", False
+        )
     for unit, of_unit in SPEED_FACTORS.items():
         if abs(factor / of_unit - 1.0) < 0.1:
             return Guess(

@@ -44,7 +44,25 @@ def load_tree(path: str | Path) -> RigidBodyTree:
         raise InputError(
             f"{path}: <option> has a fluid (density or viscosity), which is not simulated; set it to 0."
         )
+    _refuse_flags(path, _mujoco(path), model)
     return _tree(path, _mujoco(path), model)
+
+
+def _refuse_flags(path: Path, mujoco: Any, model: Any) -> None:
+    """Refuse what <flag> switches off of an engine, but for gravity: the package simulates it all the same."""
+    for word in ("actuation", "spring", "damper", "frictionloss", "clampctrl"):
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{word.upper()}", 0)
+        if model.opt.disableflags & int(flag):
+            raise InputError(
+                f'{path}: <flag {word}="disable"/> switches off what is simulated here; take the flag out, and what it '
+                "switches off."
+            )
+
+
+def _gravity(mujoco: Any, model: Any) -> list[float]:
+    """Acceleration of free fall in the world's axes [m/s^2], three numbers."""
+    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return [0.0] * 3 if off else model.opt.gravity.tolist()
 
 
 def read_spec(path: Path) -> Any:
@@ -152,11 +170,14 @@ def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.meshname in missing:
             body = geom.parent
-            if not body.explicitinertial and body.name != "world":
+            from_geom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+            always = int(spec.compiler.inertiafromgeom) == int(from_geom)
+            needs = "the body has no <inertial>; add one of them"
+            if body.name != "world" and (always or not body.explicitinertial):
                 own = f"body '{body.name}'" if body.name else "a body without a name"
                 raise InputError(
-                    f"{path}: the mesh '{geom.meshname}' of {own} is not there and the body has no <inertial>; add one "
-                    "of them."
+                    f"{path}: the mesh '{geom.meshname}' of {own} is not there and "
+                    f"{'inertiafromgeom asks for it; add it' if always else needs}."
                 )
             spec.delete(geom)
     for mesh in list(spec.meshes):
@@ -197,7 +218,11 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
     if not joints:
         raise InputError(f"{path}: it has no joint that moves; give the description of an arm.")
     return RigidBodyTree(
-        tuple(joints), tuple(bodies), constant_vector(model.opt.gravity), points, source=str(path.resolve())
+        tuple(joints),
+        tuple(bodies),
+        constant_vector(_gravity(mujoco, model)),
+        points,
+        source=str(path.resolve()),
     )
 
 
@@ -239,6 +264,11 @@ def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> Non
     for word, size in (("damping", model.dof_damping), ("frictionloss", model.dof_frictionloss)):
         if (value := float(np.ravel(size[at])[0])) < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
+    for word, size in (("damping", model.dof_damping[at]), ("stiffness", model.jnt_stiffness[j])):
+        if np.ravel(size)[1:].any():
+            raise InputError(
+                f"{path}: {word} of joint '{name}' is a polynomial, which is not simulated; keep its first number."
+            )
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     by_angle, by_speed = model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2]
     # a loop of the speed alone, a brake, may stand beside another one
@@ -248,6 +278,12 @@ def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> Non
         raise InputError(
             f"{path}: joint '{name}' has {len(driving)} actuators, of which one can drive it; keep that one."
         )
+    for i in _acting(mujoco, model, j):
+        if driving and brake[i] and model.actuator_forcelimited[i]:
+            raise InputError(
+                f"{path}: the velocity actuator beside another one at joint '{name}' has a forcerange of its own, "
+                "which is not simulated; give the damping as kv of the other one."
+            )
     for i in driving:
         stiffness = float(model.actuator_gainprm[i][0])
         if affine[i] and stiffness <= 0.0:
@@ -319,13 +355,15 @@ def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
         alone = gear > 0.0 and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
         fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
         if alone and fixed and stiffness > 0 and by_angle == -stiffness and constant_part == 0.0:
-            low, high = (abs(float(end)) for end in model.actuator_forcerange[i])
-            largest = gear * min(low, high) if model.actuator_forcelimited[i] else None
+            limit = _torque_limit(mujoco, model, j)
             least, most = (float(end) / gear for end in model.actuator_ctrlrange[i])
             goals = (least, most) if model.actuator_ctrllimited[i] else None
-            return Servo(
-                gear**2 * float(stiffness), 0.0 - gear**2 * float(by_speed), largest, goals
-            )  # no -0.0
+            brakes = (
+                b for b in _acting(mujoco, model, j) if b != i
+            )  # by the speed alone, or they were refused
+            damping = sum(model.actuator_gear[b][0] ** 2 * model.actuator_biasprm[b][2] for b in brakes)
+            damping = 0.0 - gear**2 * float(by_speed) - float(damping)  # no -0.0
+            return Servo(gear**2 * float(stiffness), damping, None if np.isinf(limit) else limit, goals)
     return None
 
 
