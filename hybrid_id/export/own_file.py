@@ -54,10 +54,7 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
     path = Path(tree.source)
     spec, text = read_spec(path), path.read_bytes().decode("utf-8")
     if converted := _Text(text).root == "robot":
-        for (
-            geom
-        ) in spec.worldbody.geoms:  # of its base, which as a part of the world would touch the first link
-            geom.contype = geom.conaffinity = 0
+        _untouched_base(spec)
         text = spec.to_xml()
     exported = _Edit(system, tree, path, text, compiled(path, spec), step).build(converted=converted)
     try:
@@ -68,6 +65,16 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
             "speaks of the actuators that are replaced."
         ) from None
     return exported
+
+
+def _untouched_base(spec: Any) -> None:
+    """Let the base of a URDF touch nothing: as a part of the world it would touch the first link, beside its joint."""
+    fixed = set[str]()
+    for body in spec.bodies:  # from the base outwards
+        if body.name == "world" or (body.parent.name in fixed and not body.joints):
+            fixed.add(body.name)
+            for geom in body.geoms:
+                geom.contype = geom.conaffinity = 0
 
 
 def mujoco_model(exported: Mjcf) -> Any:

@@ -179,6 +179,8 @@ FILLERS = frozenset(
         "y",
         "percent",
         "per",
+        "ncm",
+        "nmm",
     ]
 )
 VOCABULARY = frozenset().union(*KINDS.values(), COMMAND, MEASURED, LINK, MOTOR, FILLERS)
@@ -186,6 +188,7 @@ UNITS: tuple[tuple[str, str], ...] = (
     (r"(?<![a-z])rad(ians?)?\s*(/|_per_|_|p)\s*s(ec)?\b", "rad/s"),
     (r"(deg(rees?)?|°)\s*(/|_per_|_|p)\s*s(ec)?\b|\bdps\b", "deg/s"),
     (r"rev\s*(/|_per_|p)\s*s(ec)?\b", "rev/s"),
+    (r"mrad\s*(/|_per_|_|p)\s*s(ec)?\b", "mrad/s"),
     (r"rpm\b", "rpm"),
     (r"mrad\b", "mrad"),
     (r"(deg|degrees?|°)(?![a-z])", "deg"),

@@ -264,8 +264,8 @@ def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> Non
     for word, size in (("damping", model.dof_damping), ("frictionloss", model.dof_frictionloss)):
         if (value := float(np.ravel(size[at])[0])) < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
-    for word, size in (("damping", model.dof_damping[at]), ("stiffness", model.jnt_stiffness[j])):
-        if np.ravel(size)[1:].any():
+    for word, further in (("damping", model.dof_dampingpoly[at]), ("stiffness", model.jnt_stiffnesspoly[j])):
+        if np.any(further):
             raise InputError(
                 f"{path}: {word} of joint '{name}' is a polynomial, which is not simulated; keep its first number."
             )

@@ -225,6 +225,11 @@ def verdict(result: Ablation) -> list[str]:
 def _beyond(result: Ablation, best: Scores) -> list[str]:
     """Whether it holds out of range."""
     change = best.change["beyond"]
+    if (more := best.diverged("beyond")) > result.physics.diverged("beyond"):
+        return [
+            f"Out of range it harms: its runs diverged in {more} of {len(best.seeds)} repeats. Do not use it beyond "
+            "the records that it was trained on."
+        ]
     if not math.isfinite(change.upper):
         return []
     words = f"error {_percent(best, 'beyond', result)}"

@@ -182,8 +182,8 @@ def split(
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
     """Records to train on and to validate on.
 
-    Named records validate. Otherwise the last fifth of the train records does (at least one), so that the test records
-    stay unseen; with a single train record the test records have to.
+    Named records validate, or those whose role it is. Without any the last fifth of the train records does (at least
+    one), so that the test records stay unseen; with a single train record the test records have to.
 
     Raises:
         InputError: a name that is no record, or too few records.
@@ -198,6 +198,8 @@ def split(
             )
         held = [dataset[name] for name in names]
         train = [record for record in train if record.name not in names]
+    elif dataset.validation:
+        held = list(dataset.validation)
     elif len(train) > 1:
         count = max(1, len(train) // 5)
         train, held = train[:-count], train[-count:]

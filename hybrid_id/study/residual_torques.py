@@ -249,8 +249,10 @@ def _learn(
         size: paired_difference(*np.log(list(pairs.values())).T, overlap=overlap, level=level)
         for size, pairs in errors.items()
     }
-    best = max(gains, key=lambda size: np.nan_to_num(gains[size].mean, nan=-np.inf))
-    stays = gains[best].lower > 0.0
+    # a network whose runs diverge where physics' do not has no gain on the others that makes up for it
+    lost = [size for size, pairs in errors.items() if any(b == np.inf > a for a, b in pairs.values())]
+    best = max(gains, key=lambda size: (size not in lost, np.nan_to_num(gains[size].mean, nan=-np.inf)))
+    stays = best not in lost and gains[best].lower > 0.0
     hybrid = _with_network(dataset, physics, train, best, horizon, signal_share) if stays else physics
     tested = [_errors(dataset, one.system, dataset.test, horizon, signal_share) for one in (physics, hybrid)]
     found = JointHybrid(

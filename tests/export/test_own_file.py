@@ -110,6 +110,56 @@ def test_what_dry_friction_holds_does_not_creep(tmp_path: Path) -> None:
     np.testing.assert_allclose(data.qpos, start, atol=1e-3)
 
 
+def test_a_joint_that_is_held_is_held_there(tmp_path: Path) -> None:
+    text = ARM.replace(' springref="20"', ' springref="20" ref="10"')
+    system = arm(tmp_path, "robot: {file: arm.xml, hold: {elbow: 1.2}}\n", text)
+    exported = to_mjcf(system)
+    assert "elbow: held still by an equality, as in the model" in exported.notes
+    assert apart(system, waves(system, [0.4], ["goal1"])) < 5e-3
+    model = mujoco_model(exported)
+    data = mujoco.MjData(model)
+    data.joint("elbow").qpos[:] = 1.2
+    mujoco.mj_step(model, data, 4000)
+    assert float(data.joint("elbow").qpos[0]) == pytest.approx(1.2, abs=2e-3)
+
+
+def test_no_default_of_the_file_reaches_into_a_bias(tmp_path: Path) -> None:
+    """MuJoCo has one default for all actuators, whatever their element is called."""
+    text = ARM.replace("<default>", '<default><motor gear="100" ctrlrange="-1 1" forcerange="-0.1 0.1"/>', 1)
+    bias = "components: [{place: lift/load, kind: constant_torque, parameters: {T_0: 0.5}}]\n"
+    model = mujoco_model(to_mjcf(arm(tmp_path, f"robot: {{file: arm.xml}}\n{bias}", text)))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    number = model.actuator("constant_torque_lift").id
+    assert float(data.actuator_force[number] * model.actuator_gear[number, 0]) == pytest.approx(-0.5)
+
+
+def test_angles_are_in_the_unit_that_an_included_file_gives(tmp_path: Path) -> None:
+    (tmp_path / "common.xml").write_text('<mujocoinclude><compiler angle="radian"/></mujocoinclude>')
+    text = ARM.replace('<compiler angle="degree"/>', '<include file="common.xml"/>').replace('"20"', '"0.35"')
+    text = text.replace('range="-170 170"', 'range="-3 3"').replace('ctrlrange="-90 90"', "")
+    system = arm(tmp_path, text=text)
+    (name,) = (i.name for i in system.table if i.symbol == "q_s")
+    model = mujoco_model(to_mjcf(system.with_values({name: 0.3})))
+    assert float(model.qpos_spring[1]) == pytest.approx(0.3)
+
+
+def test_the_base_of_a_urdf_does_not_touch_the_first_link(tmp_path: Path) -> None:
+    """Links that a joint connects do not touch; MuJoCo makes the base a part of the world, which touches all."""
+    body = '<inertial><mass value="0.4"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>'
+    shape = '<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>'
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="r"><link name="base">{body}{shape}</link><link name="l1">{body}{shape}</link>'
+        '<joint name="j1" type="continuous"><parent link="base"/><child link="l1"/><origin xyz="0 0 0.1"/>'
+        '<axis xyz="0 1 0"/></joint></robot>'
+    )
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.urdf}\n")
+    model = mujoco_model(to_mjcf(load_model(tmp_path / "model.yaml")))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
 def test_what_holds_already_stays_as_it_is(tmp_path: Path) -> None:
     motors = '<motor name="servo" joint="lift"/><general name="other" joint="elbow" gear="2" gainprm="0.5"/>'
     text = re.sub("<position.*/>", motors, ARM).replace(' frictionloss="0.05"', "")

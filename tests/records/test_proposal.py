@@ -16,6 +16,7 @@ from hybrid_id.records.proposal import (
     sampling,
     side_by_range,
     sign_of,
+    speed_unit,
     time_unit,
     wrap_period,
     zero_by_goal,
@@ -47,6 +48,9 @@ def test_unit_of_time_by_step_and_span(factor: float, unit: str) -> None:
         ("goal_elbow", "angle", True, "", "elbow"),
         ("i_meas (mA)", "current", False, "mA", ""),
         ("Motor Position [rev]", "angle", False, "rev", ""),
+        ("torque_cmd_Ncm", "torque", True, "N cm", ""),
+        ("torque_Nmm", "torque", False, "mN m", ""),
+        ("velocity_mrad_s", "speed", False, "mrad/s", ""),
     ],
 )
 def test_what_a_name_says(name: str, kind: str, command: bool, unit: str, joint: str) -> None:
@@ -71,6 +75,12 @@ def test_unit_of_an_angle(values: np.ndarray, joint: JointFacts | None, unit: st
 def test_a_span_beyond_the_range_is_degrees_and_says_how_much() -> None:
     guess = angle_unit([np.degrees(ANGLE)], [T], "unit of q", joint=ELBOW)
     assert guess.sure and "45.8 times the range of elbow" in guess.evidence
+
+
+def test_a_speed_far_off_the_unit_of_its_name_is_doubted() -> None:
+    assert speed_unit(1.02, 1.0, "unit of v", "rad/s").sure
+    guess = speed_unit(1e-3, 1.0, "unit of v", "rad/s")
+    assert not guess.sure and "0.001 times it" in guess.evidence
 
 
 def test_a_zero_outside_the_range_is_asked_for() -> None:

@@ -118,6 +118,41 @@ def test_a_servo_behind_a_gear_is_one_at_the_joint(tmp_path):
     assert found.servo is None and found.gear == 50.0
 
 
+def test_what_limits_and_damps_a_servo_beside_its_own_element(tmp_path):
+    joint = '<joint name="turn" axis="0 1 0" actuatorfrcrange="-5 5"/>'
+    pair = '<actuator><position joint="turn" kp="100" forcerange="-8 8"/><velocity joint="turn" kv="10"/></actuator>'
+    (found,) = load_tree(described(tmp_path, arm(joint), pair)).joints
+    assert found.servo is not None
+    assert (found.servo.stiffness, found.servo.damping, found.servo.largest) == (100.0, 10.0, 5.0)
+    clipped = pair.replace('kv="10"', 'kv="10" forcerange="-1 1"')
+    with pytest.raises(InputError, match="velocity actuator beside another one at joint 'turn'"):
+        load_tree(described(tmp_path, arm(), clipped))
+
+
+def test_gravity_may_be_switched_off_and_nothing_else(tmp_path):
+    off = '<option gravity="0 0 -9.81"><flag {}="disable"/></option>'
+    assert [float(g) for g in load_tree(described(tmp_path, arm(), off.format("gravity"))).gravity] == [
+        0.0
+    ] * 3
+    for flag in ("frictionloss", "actuation", "clampctrl"):
+        with pytest.raises(InputError, match=f'<flag {flag}="disable"/> switches off'):
+            load_tree(described(tmp_path, arm(), off.format(flag)))
+
+
+@pytest.mark.parametrize("word", ["damping", "stiffness"])
+def test_a_polynomial_is_refused(tmp_path, word):
+    with pytest.raises(InputError, match=f"{word} of joint 'turn' is a polynomial"):
+        load_tree(described(tmp_path, arm(f'<joint name="turn" axis="0 1 0" {word}="0.5 2 0"/>')))
+
+
+def test_an_inertia_from_a_mesh_that_is_not_there_is_refused_whatever_the_body_says(tmp_path):
+    shape = '<geom type="mesh" mesh="shape"/>'
+    world = f'<body name="full">{HINGE}<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>{shape}</body>'
+    assets = '<compiler inertiafromgeom="true"/><asset><mesh name="shape" file="gone.stl"/></asset>'
+    with pytest.raises(InputError, match="inertiafromgeom asks for it"):
+        load_tree(described(tmp_path, world, assets))
+
+
 @pytest.mark.parametrize("file", ["so101/so101_new_calib.xml", "so101/so101_new_calib.urdf"])
 def test_the_so101_has_six_joints_under_their_own_names(file):
     if not (SHARED / file).exists():
