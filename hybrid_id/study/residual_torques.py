@@ -244,25 +244,38 @@ def _learn(
             errors[size] |= {name: (own[name], richer[name]) for name in own}
     apart = sum(map(len, held)) / len(held)
     overlap = apart / (len(train) if dataset.validation else len(train) - apart)
-    level = 1.0 - 0.05 / len(SIZES)  # the best of several
-    gains = {
-        size: paired_difference(*np.log(list(pairs.values())).T, overlap=overlap, level=level)
-        for size, pairs in errors.items()
-    }
-    # a network whose runs diverge where physics' do not has no gain on the others that makes up for it
-    lost = [size for size, pairs in errors.items() if any(b == np.inf > a for a, b in pairs.values())]
-    best = max(gains, key=lambda size: (size not in lost, np.nan_to_num(gains[size].mean, nan=-np.inf)))
-    stays = best not in lost and gains[best].lower > 0.0
+    best, gain, stays = _best_size(errors, overlap)
     hybrid = _with_network(dataset, physics, train, best, horizon, signal_share) if stays else physics
     tested = [_errors(dataset, one.system, dataset.test, horizon, signal_share) for one in (physics, hybrid)]
     found = JointHybrid(
-        physics, hybrid, best if stays else None, gains[best], errors[best],
+        physics, hybrid, best if stays else None, gain, errors[best],
         {name: (tested[0][name], tested[1][name]) for name in tested[0]}, horizon, None,
     )  # fmt: skip
     maps = [
         _map(dataset, hybrid.system, joint, signal_share) if stays else None for joint in hybrid.system.joints
     ]
     return [replace(found, map=one) for one in maps]
+
+
+def _best_size(
+    errors: Mapping[float, Mapping[str, tuple[float, float]]], overlap: float
+) -> tuple[float, PairedDifference, bool]:
+    """The size that does best on records left out, its gain, and whether a network stays.
+
+    One whose runs diverge where those of physics do not has no gain on other records that makes up for it.
+
+    Args:
+        errors: of physics and with the network, by size and record.
+        overlap: see :func:`hybrid_id.statistics.variation.paired_difference`.
+    """
+    level = 1.0 - 0.05 / len(errors)  # the best of several
+    gains = {
+        size: paired_difference(*np.log(list(pairs.values())).T, overlap=overlap, level=level)
+        for size, pairs in errors.items()
+    }
+    lost = [size for size, pairs in errors.items() if any(b == np.inf > a for a, b in pairs.values())]
+    best = max(gains, key=lambda size: (size not in lost, np.nan_to_num(gains[size].mean, nan=-np.inf)))
+    return best, gains[best], best not in lost and gains[best].lower > 0.0
 
 
 def _fitted(

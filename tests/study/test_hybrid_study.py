@@ -87,6 +87,7 @@ def test_test_records_stay_unseen_while_there_are_others() -> None:
     assert names(split(dataset("train", "train", "train", "test"))) == [["run_0", "run_1"], ["run_2"]]
     assert names(split(dataset("train", "test"))) == [["run_0"], ["run_1"]]
     assert names(split(dataset("train", "train", "test"), ["run_0"])) == [["run_1"], ["run_0"]]
+    assert names(split(dataset("train", "validation", "test"))) == [["run_0"], ["run_1"]]
     for faulty, chosen in (
         (dataset("train"), None),
         (dataset("train", "test"), ["run_9"]),

@@ -3,13 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from servo_arm import described, records_of
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
 from hybrid_id.reporting.results import write_physics
-from hybrid_id.study.residual_torques import HELD, learn_residuals
+from hybrid_id.study.residual_torques import HELD, _best_size, learn_residuals
 from hybrid_id.systems.builders import one_link
 from hybrid_id.systems.by_joint import turned_together
 from hybrid_id.systems.chain import System
@@ -41,6 +42,15 @@ def test_a_network_stays_where_something_is_missing_alone(nominal: System, tmp_p
     save_model(found.system, tmp_path / "hybrid.yaml")
     again = load_model(tmp_path / "hybrid.yaml")
     assert [i.spec.value for i in again.table] == [i.spec.value for i in found.system.table]
+
+
+def test_a_network_whose_runs_diverge_does_not_stay_for_what_it_gains_elsewhere() -> None:
+    gains = {f"run_{k}": (2.0, 1.5 + 0.05 * k) for k in range(6)}
+    wild = gains | {"run_5": (2.0, np.inf)}
+    small = {name: (2.0, 1.9 + 0.001 * k) for k, name in enumerate(gains)}
+    assert _best_size({1.0: gains, 2.0: small}, 0.2)[::2] == (1.0, True)
+    assert _best_size({1.0: wild, 2.0: small}, 0.2)[::2] == (2.0, True)
+    assert not _best_size({1.0: wild}, 0.2)[2]
 
 
 def test_joints_of_a_coupled_gear_are_taken_together(nominal: System, tmp_path: Path) -> None:
