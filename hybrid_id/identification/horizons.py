@@ -29,6 +29,7 @@ from hybrid_id.simulation.rollout import Simulation, simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
 Kind = Literal["whole", "strokes", "windows"]
 """Whole records, strokes (from rest to rest), or windows of one length."""
@@ -114,6 +115,10 @@ class Horizon:
                 f"windows of {self.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
                 f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
             )
+
+    def simulates(self, system: System, batch: Batch) -> bool:
+        """Whether pieces of these records begin in states that nobody has measured, as the model has them."""
+        return self.kind != "whole" and bool(system.memory_rows or _loose(system, batch))
 
     def cut(self, system: System, engine: Engine, batch: Batch) -> Batch:
         """The pieces of a batch over which a model runs free; the batch itself where there is only one a record.
@@ -202,10 +207,14 @@ def _stroke_starts(system: System, batch: Batch, row: int) -> list[int]:
     return [*starts, samples]
 
 
+def _loose(system: System, batch: Batch) -> list[Joint]:
+    """Joints whose links turn beside their rotors, unseen."""
+    return [j for j in system.joints if not j.rigid and not link_seen(batch, j.number)]
+
+
 def _simulated_hidden(system: System, engine: Engine, batch: Batch) -> tuple[Batch, list[int]]:
     """The batch with its hidden states as in a free run, and their rows."""
-    hidden = list(system.memory_rows)
-    loose = [j for j in system.joints if not j.rigid and not link_seen(batch, j.number)]
+    hidden, loose = list(system.memory_rows), _loose(system, batch)
     if not hidden and not loose:
         return batch, hidden
     run = simulate(system, with_substeps(system, engine, batch), batch).x.nan_to_num(0.0, 0.0, 0.0)

@@ -13,6 +13,7 @@ from joblib import Parallel, delayed
 from hybrid_id.identification.fit import fit_records
 from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
 from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.settled import settled
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first, whole_pool
 from hybrid_id.study.replays import batch_of
@@ -89,5 +90,8 @@ def fit_share(
     # all records first: the weight of an output that stands still in one is known from the others
     batch = batch_of(dataset, system, dataset.train, signal_share, "cpu").take(torch.tensor(share))
     system = system.to(device)
-    batch = horizon.cut(system, settings["engine"], batch.to(device))
-    return fit_records(system, batch, numbers=share, progress=lambda *_: stop.exists(), **settings)
+    whole = batch.to(device)
+    part = horizon.cut(system, settings["engine"], whole)
+    given: dict[str, Any] = {**settings, "progress": lambda *_: stop.exists()}
+    sets = fit_records(system, part, numbers=share, **given)
+    return settled(sets, horizon, whole, numbers=list(share), **{**given, "starts": 1})

@@ -18,6 +18,7 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.restarts import confirmed
 from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.settled import settled
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
@@ -150,9 +151,11 @@ def fit_sets(
     def fitted(horizon: Horizon) -> list[FitResult]:
         part = horizon.cut(model, engine, batch)
         if not pooled:
-            return fit_records(model, part, starts=starts, kept=kept, engine=engine, **settings)
-        (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, engine=engine, **settings)
-        return [confirmed(found, part, kept=kept, **settings)]
+            sets = fit_records(model, part, starts=starts, kept=kept, engine=engine, **settings)
+        else:
+            (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, engine=engine, **settings)
+            sets = [confirmed(found, part, kept=kept, **settings)]
+        return settled(sets, horizon, batch, engine=engine, kept=kept, **settings)
 
     sets = fitted(horizon or WHOLE)
     if horizon is None:

@@ -1,0 +1,73 @@
+"""Pieces of records begin in hidden states as the fitted values say, wherever the fit began."""
+
+import numpy as np
+import pytest
+
+from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.compiled import compiled_for
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study.run import identify
+from hybrid_id.systems import one_link_flexible
+from hybrid_id.systems.chain import System
+
+NOISE, STEP = 1e-3, 0.01
+TRUTH = one_link_flexible(50.0, vertical=True).with_values({"k": 30.0})
+PIECES = Horizon("windows", 0.5)
+
+
+def record(seed: int) -> Record:
+    """A multisine at a drive whose soft gear turns a link that nobody sees."""
+    rng, time = np.random.default_rng(seed), STEP * np.arange(600)
+    waves = zip((3.0, 3.0, 2.0, 2.0, 1.5), (0.3, 0.7, 1.3, 2.1, 3.3), rng.uniform(0, 6, 5), strict=True)
+    u = sum(size * np.sin(2 * np.pi * f * time + phase) for size, f, phase in waves) * (time >= 0.2)
+    blank = Record(f"run_{seed}", time, {"u1": u}, {"q_m1": 0.0 * time})
+    batch = make_batch(TRUTH, [blank], noise_std={"q_m1": NOISE})
+    run = simulate(TRUTH, with_substeps(TRUTH, compiled_for(TRUTH, Engine()), batch), batch)
+    angle = run.y[0, :, 0].numpy() + NOISE * rng.standard_normal(len(time))
+    return Record(blank.name, time, blank.inputs, {"q_m1": angle})
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    return Dataset(
+        "soft", (Channel("u1", "V"),), (Channel("q_m1", "rad", NOISE),), (record(1), record(2)), STEP
+    )
+
+
+def stiffness(dataset: Dataset, start: System, *, pooled: bool = True, jobs: int = 1) -> list[float]:
+    """Stiffness over the rotor's inertia of each set, whose scale nothing identifies."""
+    study = identify(dataset, start, pooled=pooled, horizon=PIECES, signal_share=0.0, jobs=jobs)
+    found = [dict(zip(one.names, one.values, strict=True)) for one in study.sets]
+    return [float(one["k"] / one["J_m"]) for one in found]
+
+
+@pytest.mark.parametrize("start", [15.0, 60.0])
+def test_the_start_value_of_a_soft_gear_is_no_estimate(dataset: Dataset, start: float) -> None:
+    """Its twist was held to what the start values say, and the stiffness with it: four times too large."""
+    true = TRUTH.parameter("k").spec.value / TRUTH.parameter("J_m").spec.value
+    assert stiffness(dataset, TRUTH.with_values({"k": start}))[0] == pytest.approx(true, rel=0.1)
+
+
+def test_each_record_settles_by_itself_in_any_process(dataset: Dataset) -> None:
+    start = TRUTH.with_values({"k": 60.0})
+    here, there = (stiffness(dataset, start, pooled=False, jobs=jobs) for jobs in (1, 2))
+    true = TRUTH.parameter("k").spec.value / TRUTH.parameter("J_m").spec.value
+    assert here == pytest.approx([true] * 2, rel=0.15) and there == pytest.approx(here, rel=1e-6)
+
+
+def test_only_hidden_states_are_simulated(dataset: Dataset) -> None:
+    batch = make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE})
+    assert PIECES.simulates(TRUTH, batch) and not WHOLE.simulates(TRUTH, batch)
+    seen = Record(
+        "seen",
+        dataset.records[0].time,
+        dataset.records[0].inputs,
+        {"q_m1": dataset.records[0].outputs["q_m1"], "q_a1": dataset.records[0].outputs["q_m1"] / 50.0},
+    )
+    both = make_batch(TRUTH, [seen], noise_std={"q_m1": NOISE, "q_a1": NOISE})
+    assert not PIECES.simulates(TRUTH, both)
