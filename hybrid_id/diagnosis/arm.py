@@ -545,9 +545,8 @@ def common_sizes(
                 size = own.get(symbol) or known.get(info.name)
                 if symbol in each.parameters and size is not None:
                     place = each.where.rpartition("/")[2]
-                    kind = info.component.rpartition("/")[
-                        2
-                    ]  # at the motor and at the link an effect has other units
+                    # by its law: at the motor and at the link an effect has other units
+                    kind = info.component.rpartition("/")[2]
                     point = getattr(whole.components[info.component], "point", "")
                     sizes.setdefault((each.name, place, kind, point, symbol), []).append((joint, size, info))
     result = []

@@ -208,7 +208,7 @@ def _each_with(
 def _with(rest: FittedModel, witness: Witness, one: FittedModel | None) -> FittedModel | None:
     """A joint's model less the effect, with what a candidate has instead, not fitted; None where that cannot stand."""
     for task in swapped(rest.system, rest.effects, [one] if one else [], witness.before):
-        return replace(rest, effects=task.effects, result=replace(rest.result, system=task.system))
+        return replace(rest.at(task.system), effects=task.effects)
     return None
 
 
@@ -240,22 +240,23 @@ def _step(answer: Answer, rest: FittedModel, witness: Witness, judged: Judged) -
     if own is None:
         return None
 
-    def fit(
-        start: FittedModel, known: FittedModel | None, shared: Mapping[str, Bounded]
-    ) -> FittedModel | None:
-        # from the model that all have been judged with, and from where the joint's own search has ended
-        starts = [start, *(one for one in (known,) if one is not None and one.effects == start.effects)]
-        tasks = []
-        for one in starts:
-            infos = brought(one.system, *witness.effect) if shared else {}
-            specs = {infos[s].name: replace(spec, estimate=False) for s, spec in shared.items()}
-            tasks.append(Task(one.effects, one.system.with_specs(specs)))
-        ends = [end for end in answer.fits.run(tasks, FULL) if end is not None]
-        return min(ends, key=lambda end: end.error, default=None)
+    def sized(one: FittedModel) -> FittedModel:
+        infos = brought(one.system, *witness.effect)
+        fixed = {infos[s].name: replace(spec, estimate=False) for s, spec in judged.specs.items()}
+        return one.at(one.system.with_specs(fixed))
 
-    before, model = fit(rest, witness.before, {}), fit(own, witness.model, judged.specs)
+    before = _from_both(answer.fits, rest, witness.before)
+    model = _from_both(answer.fits, sized(own), sized(witness.model))
     if before is None or model is None:
         return None
-    rivals = [one for one in (other and fit(other, witness.rival, {}),) if one is not None]
+    rival = other and witness.rival and _from_both(answer.fits, other, witness.rival)
+    rivals = [rival] if rival else []
     odds = (0.0, *(judged.odds for _ in rivals))
     return SelectionStep(before, (model, *rivals), swap=True, odds=odds, shown=judged.shown)
+
+
+def _from_both(fits: Fits, start: FittedModel, known: FittedModel) -> FittedModel | None:
+    """The better end of fits from the model that all were judged with, and from where the joint's own search ended."""
+    starts = [start, known] if known.effects == start.effects else [start]
+    ends = fits.run([Task(one.effects, one.system) for one in starts], FULL)
+    return min((end for end in ends if end is not None), key=lambda end: end.error, default=None)

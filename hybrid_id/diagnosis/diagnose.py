@@ -451,9 +451,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        several = len(chosen.effects) > 1
-        rest = best_without(fits, found.base, chosen, name, found.steps) if several else None
-        rest = rest or found.base
+        rest = best_without(fits, found.base, chosen, name, found.steps) or found.base
         rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
         found = replace(found, chosen=rest)
     nothing = not found.chosen.effects and not graded.unknown and not varying

@@ -80,9 +80,7 @@ def _held_alike(equals: Sequence[FittedModel], nominal: System) -> list[FittedMo
     free = [without_priors(one.system, nominal) for one in equals]
     if all(one.system.table != own.table for one, own in zip(equals, free, strict=True)):
         return list(equals)
-    return [
-        replace(one, result=replace(one.result, system=own)) for one, own in zip(equals, free, strict=True)
-    ]
+    return [one.at(own) for one, own in zip(equals, free, strict=True)]
 
 
 def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,10 @@ class FittedModel:
     def system(self) -> System:
         """The fitted system."""
         return self.result.system
+
+    def at(self, system: System) -> FittedModel:
+        """The same fit standing at another system, not fitted there."""
+        return replace(self, result=replace(self.result, system=system))
 
     @property
     def error(self) -> float:

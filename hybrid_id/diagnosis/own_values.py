@@ -19,6 +19,7 @@ from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.grade import of_robot
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.per_record import PerRecord, scatter, structural
+from hybrid_id.diagnosis.starts import with_values_of
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, train_rows, without_effect
 from hybrid_id.identification.horizons import Horizon
@@ -165,9 +166,8 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
         bare = None if models is None else _own_values(robot, models)
         if models is None or bare is None or now is None:
             continue
-        if (
-            bare.common.cost < now.common.cost
-        ):  # it has one effect less: the richer fit has not found its best
+        # the simpler robot errs less on its own records: the richer fit has not found its best
+        if bare.common.cost < now.common.cost:
             again = _own_values(robot, chosen, bare)
             now = now if again is None or again.common.cost > now.common.cost else again
         # what acts on all joints stands by the one that it helps
@@ -224,7 +224,5 @@ def _own_values(
     effects = [name for one in models.values() for name in one.effects]
     system = robot.system(models)
     if near is not None:
-        ends = {(i.component, i.symbol): i.spec.value for i in near.common.system.table if i.spec.estimate}
-        start = {i.name: ends[i.component, i.symbol] for i in system.table if (i.component, i.symbol) in ends}
-        system = system.with_values(start)
+        system = with_values_of(system, near.common.system) or system
     return own_values(robot.records, system, effects, robot.horizon, robot.signal_share, robot.kept)

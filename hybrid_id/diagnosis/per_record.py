@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FULL, SLOW, Fits, Task, engine, without_priors
 from hybrid_id.diagnosis.model import FittedModel, Unfitted
-from hybrid_id.diagnosis.starts import at_nominal
+from hybrid_id.diagnosis.starts import with_values_of
 from hybrid_id.diagnosis.validation import autocorrelation, mean_square
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.least_squares import Options
@@ -62,7 +62,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     if batch.rows < 2 or not fits.whole:
         return None
     options = Options(max_iterations=FULL, tolerance=0.05, least_gain=SLOW)
-    start = without_priors(at_nominal(system, nominal) or system, nominal)
+    start = without_priors(with_values_of(system, nominal) or system, nominal)
     try:
         sets = kept_fit(fits.kept, start, batch, pooled=False, engine=engine(), options=options)
     except RuntimeError as error:  # one of them breaks off

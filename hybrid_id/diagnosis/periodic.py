@@ -20,9 +20,10 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.joint import Joint, Views
 
-PERIODS = (*range(13, 49), 54, 60, 63, 72, 84, 90, 120, 126, 144, 168, 180, 252, 264, 360)
-"""Periods a turn of the rotor that a motor's poles and slots may have, common multiples of many poles among them; fewer
-are looked for between whole numbers, too, for the gear ratio may be another one and what ripples may sit elsewhere."""
+PERIODS = (*range(1, 49), 54, 60, 63, 72, 84, 90, 120, 126, 144, 168, 180, 252, 264, 360)
+"""Periods a turn of the rotor that a motor's poles and slots may have, common multiples of many poles among them."""
+BETWEEN = 13.0
+"""Below it what lies between is looked for, too: the gear ratio may be another one, ripples may sit elsewhere."""
 GEAR_PERIODS = (0.25, 4.0)
 """Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
 FINEST = 4800
@@ -80,9 +81,8 @@ def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...
     opened = left.opened(joint, "motor")
     phase = left.batch.x[..., opened.row]
     least = least_periods(max(float(phase.max() - phase.min()), 1e-3))
-    slow = _between(max(GEAR_PERIODS[0], least), float(PERIODS[0]), phase)
-    whole = (float(n) for n in (*range(1, PERIODS[0]), *PERIODS) if n >= least)
-    periods = sorted({*slow, *whole})
+    slow = _between(max(GEAR_PERIODS[0], least), BETWEEN, phase)
+    periods = sorted({*slow, *(float(n) for n in PERIODS if n >= least)})
 
     def shape(i: int, of: Response) -> Tensor:
         return _waves(periods[i] * of.within(phase))
@@ -120,9 +120,8 @@ def friction_waves(left: Residual, joint: int, place: str) -> list[tuple[float, 
     reach = float(angle.max() - angle.min())
     # half a wave over the range is distinguished from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
-    steps = np.array(
-        [*steps, *(n for n in range(1, TURNED + 1) if n > steps[-1])]
-    )  # of a joint that turns on and on
+    # a joint that turns on and on has whole waves beyond those
+    steps = np.array([*steps, *(n for n in range(1, TURNED + 1) if n > steps[-1])])
 
     def shape(i: int, of: Response) -> Tensor:
         return of.within(rub)[..., None] * _waves(steps[i] * of.within(angle))

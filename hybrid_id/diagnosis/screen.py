@@ -373,9 +373,10 @@ def better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None])
         if end is None:
             continue
         first = found.setdefault(one, end)
-        less = end.judged and end.error < (1.0 - CRITERIA.distinct_fall) * first.error
-        surely = not first.judged or (less and end.ahead_of(first) >= CRITERIA.distinct_z)
-        if end.judged and surely:
+        if not end.judged:
+            continue
+        less = end.error < (1.0 - CRITERIA.distinct_fall) * first.error
+        if not first.judged or (less and end.ahead_of(first) >= CRITERIA.distinct_z):
             found[one] = end
     return list(found.values())
 

@@ -273,6 +273,8 @@ def best_without(
 
     The others have ended elsewhere than before they had each other: the rest may do better from there.
     """
+    if len(richer.effects) == 1:
+        return base
     ends = judged_fits(steps, tuple(e for e in richer.effects if e != name))
     known = min(ends, key=lambda e: e.trained, default=None)
     again = refitted_without(fits, base, richer, name, known=known)

@@ -51,16 +51,16 @@ def from_nominal(
         return []
     near = None
     if hidden_links(before.system, fits.records(before.system)):
-        own = at_nominal(before.system, nominal)
+        own = with_values_of(before.system, nominal)
         near = None if own is None else fits.slopes(own, before.result.cost)
-    starts = ((one, at_nominal(one.system, nominal)) for one in fitted)
+    starts = ((one, with_values_of(one.system, nominal)) for one in fitted)
     return [Task(one.effects, start, near) for one, start in starts if start is not None]
 
 
-def at_nominal(system: System, nominal: System) -> System | None:
-    """The system with the nominal values of all that both have; None where they cannot stand beside the effect."""
+def with_values_of(system: System, other: System) -> System | None:
+    """The system with the values that another one estimates, of all that both have; None where these cannot stand."""
     names = {(info.component, info.symbol): info.name for info in system.table}
-    values = {(i.component, i.symbol): i.spec.value for i in nominal.table if i.spec.estimate}
+    values = {(i.component, i.symbol): i.spec.value for i in other.table if i.spec.estimate}
     with suppress(InputError):  # no mass matrix, say, of inertias that a gear with play has divided
         return system.with_values({names[key]: value for key, value in values.items() if key in names})
     return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -149,7 +149,7 @@ def held(model: FittedModel, answer: Answer) -> FittedModel:
     searched = answer.searched
     ends = (searched.chosen, *judged_fits(searched.steps, model.effects))
     as_it = next((one for one in ends if one.effects == model.effects), searched.base)
-    return replace(model, result=replace(model.result, system=with_priors_of(model.system, as_it.system)))
+    return model.at(with_priors_of(model.system, as_it.system))
 
 
 def acts_on_all(effect: str) -> bool:
@@ -202,8 +202,6 @@ def without_effect(
 def less(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
     """A joint's model less one of its effects, as the search would have it; None where it cannot be fitted."""
     searched = answer.searched
-    if len(model.effects) == 1:
-        return searched.base
     return best_without(answer.fits, searched.base, held(model, answer), effect, searched.steps)
 
 

@@ -34,6 +34,8 @@ SAME = 1e-9
 """Relative difference below which a value of the file stands."""
 AT_JOINT = (0, 1)
 """MuJoCo's numbers of transmissions to a joint: in its own frame, and in its parent's."""
+_PLAIN = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
+"""What an actuator is where neither it nor a default says otherwise."""
 UNITS = {"V": "voltage [V]", "A": "current [A]", "N m": "torque [N m]"}
 """What a motor's command is."""
 
@@ -247,10 +249,8 @@ class _Edit(Drives):
 
     def _alone(self, tag: str, attributes: Attributes) -> Attributes:
         """Attributes of an actuator of friction or a bias, of which no default of the file sets any other."""
-        if tag != "general" or not any("default" in e.above for e in self.elements):
-            return attributes
-        plain = {"dyntype": "none", "gaintype": "fixed", "ctrllimited": "false", "gear": "1"}
-        return plain | {"forcelimited": str("forcerange" in attributes).lower()} | attributes
+        defaults = tag == "general" and any("default" in e.above for e in self.elements)
+        return _limited(_PLAIN | attributes) if defaults else attributes
 
     def _masses(self) -> None:
         """Write inertias that differ from the file's into their bodies, and payloads as bodies of their own."""
@@ -335,16 +335,10 @@ class _Edit(Drives):
     def _still(self) -> list[str]:
         """Joints that the model holds still, held there by the engine: their angle less that at which it is drawn."""
         stiff = {"solref": f"{number(2.0 * self.step)} 1", "solimp": "0.99 0.999 0.001"}
+        apart = {name: at - float(self.model.joint(name).qpos0[0]) for name, at in self.tree.held.items()}
         return [
-            _written(
-                "joint",
-                {
-                    "joint1": name,
-                    "polycoef": f"{number(at - float(self.model.joint(name).qpos0[0]))} 0 0 0 0",
-                }
-                | stiff,
-            )
-            for name, at in self.tree.held.items()
+            _written("joint", {"joint1": name, "polycoef": f"{number(angle)} 0 0 0 0"} | stiff)
+            for name, angle in apart.items()
         ]
 
     def _joint(self, joint: Joint, known: TreeJoint) -> str:
@@ -420,11 +414,10 @@ class _Edit(Drives):
         if self.closes(joint):
             command = "goal [rad]" if known.kind == "hinge" else "goal [m]"
         if tag == "general":  # no default of the file is to reach into it
-            attributes = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"} | attributes
+            attributes = _PLAIN | attributes
             if here is not None and not self.closes(joint):
                 attributes |= _limits(here, ("force",), here.gear[0] / float(attributes["gear"]))
-            limits = ("ctrllimited", "ctrlrange"), ("forcelimited", "forcerange")
-            attributes |= {name: str(end in attributes).lower() for name, end in limits}
+            attributes = _limited(attributes)
         if not mine:
             self.added.append(_written(tag, attributes))
             return attributes["name"]
@@ -532,6 +525,12 @@ def _changed(found: Attributes, known: TreeJoint, *, turned: bool) -> Attributes
         return not more and math.isclose(float(first), before[name], rel_tol=SAME, abs_tol=1e-300)
 
     return {name: value for name, value in found.items() if name not in before or not same(name, value)}
+
+
+def _limited(attributes: Attributes) -> Attributes:
+    """Attributes of an actuator with those ranges alone that stand there."""
+    limits = ("ctrllimited", "ctrlrange"), ("forcelimited", "forcerange")
+    return attributes | {name: str(end in attributes).lower() for name, end in limits}
 
 
 def _written(tag: str, attributes: Attributes) -> str:

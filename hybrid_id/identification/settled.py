@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hybrid_id.identification.fit import fit_records, kept_fit
+from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.result import FitResult
@@ -32,7 +32,6 @@ def settled(
     *,
     engine: Engine,
     kept: Kept | None = None,
-    numbers: list[int] | None = None,
     **settings: Any,
 ) -> list[FitResult]:
     """The sets, fitted again to pieces that begin as their own values say; as they are where no first state is hidden.
@@ -43,25 +42,19 @@ def settled(
         batch: the whole records.
         engine: how a sample is integrated.
         kept: fits that are kept from before.
-        numbers: of the records, by which start points are drawn (default: from 0).
         settings: further arguments of :func:`hybrid_id.identification.fit.fit`, but for the start points.
     """
     if not sets or not horizon.simulates(sets[0].system, batch):
         return sets
-    pooled = len(sets) == 1 and len(set(batch.names)) > 1
     found = []
-    for k, one in enumerate(sets):
-        rows = [row for row, name in enumerate(batch.names) if pooled or name in one.records]
+    for one in sets:
+        rows = [row for row, name in enumerate(batch.names) if name in one.records]
         own = batch.take(torch.tensor(rows, device=batch.x.device))
         for _ in range(ROUNDS):
             if one.status in ("diverged", "interrupted"):
                 break
             part, before = horizon.cut(one.system, engine, own), one
-            if pooled:
-                (one,) = kept_fit(kept, one.system, part, pooled=True, engine=engine, **settings)
-            else:
-                number = [k if numbers is None else numbers[k]]
-                (one,) = fit_records(one.system, part, engine=engine, kept=kept, numbers=number, **settings)
+            (one,) = kept_fit(kept, one.system, part, pooled=True, engine=engine, **settings)
             if one.status == "diverged":
                 one = before
                 break

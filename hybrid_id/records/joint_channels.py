@@ -40,6 +40,7 @@ from hybrid_id.records.proposal import (
     zero_offset,
 )
 from hybrid_id.records.proposal_parts import Chosen, DriveFacts, Evidence
+from hybrid_id.records.units import to_si
 
 STEMS = {"voltage": "u", "duty": "duty", "current": "i", "torque": "tau", "goal": "goal", "supply": "supply",
          "gain": "gain", "enable": "enable"}  # fmt: skip
@@ -53,7 +54,7 @@ RESTS = 0.05
 """Span of a joint's angle, relative to its size, up to which a joint whose goal stands still does, too."""
 BEYOND = {"V": 200.0, "A": 100.0}
 """Voltage and current that no drive's log exceeds: larger numbers without a unit are thousandths."""
-PARTS = {"mN m": 1e-3, "N cm": 1e-2}
+PARTS = {unit: to_si(unit, "tau")[1] for unit in ("mN m", "N cm")}
 """Units of a torque by their parts of a newton metre."""
 FITTED = 8
 """Logs whose acceleration is fitted, those in which the joint moves most; of their fits the median is taken."""

@@ -44,8 +44,9 @@ def load_tree(path: str | Path) -> RigidBodyTree:
         raise InputError(
             f"{path}: <option> has a fluid (density or viscosity), which is not simulated; set it to 0."
         )
-    _refuse_flags(path, _mujoco(path), model)
-    return _tree(path, _mujoco(path), model)
+    mujoco = _mujoco(path)
+    _refuse_flags(path, mujoco, model)
+    return _tree(path, mujoco, model)
 
 
 def _refuse_flags(path: Path, mujoco: Any, model: Any) -> None:
@@ -167,18 +168,15 @@ def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
     home = path.parent / (spec.compiler.meshdir or "")
     missing = {mesh.name for mesh in spec.meshes if mesh.file and not (home / Path(mesh.file)).is_file()}
     missing |= {mesh.name or Path(mesh.file).stem for mesh in spec.meshes if mesh.name in missing}
+    from_geom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    always = int(spec.compiler.inertiafromgeom) == int(from_geom)
+    fault = "inertiafromgeom asks for it; add it" if always else "the body has no <inertial>; add one of them"
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.meshname in missing:
             body = geom.parent
-            from_geom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-            always = int(spec.compiler.inertiafromgeom) == int(from_geom)
-            needs = "the body has no <inertial>; add one of them"
             if body.name != "world" and (always or not body.explicitinertial):
                 own = f"body '{body.name}'" if body.name else "a body without a name"
-                raise InputError(
-                    f"{path}: the mesh '{geom.meshname}' of {own} is not there and "
-                    f"{'inertiafromgeom asks for it; add it' if always else needs}."
-                )
+                raise InputError(f"{path}: the mesh '{geom.meshname}' of {own} is not there and {fault}.")
             spec.delete(geom)
     for mesh in list(spec.meshes):
         if mesh.name in missing:
@@ -358,9 +356,8 @@ def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
             limit = _torque_limit(mujoco, model, j)
             least, most = (float(end) / gear for end in model.actuator_ctrlrange[i])
             goals = (least, most) if model.actuator_ctrllimited[i] else None
-            brakes = (
-                b for b in _acting(mujoco, model, j) if b != i
-            )  # by the speed alone, or they were refused
+            # by the speed alone, or they were refused
+            brakes = (b for b in _acting(mujoco, model, j) if b != i)
             damping = sum(model.actuator_gear[b][0] ** 2 * model.actuator_biasprm[b][2] for b in brakes)
             damping = 0.0 - gear**2 * float(by_speed) - float(damping)  # no -0.0
             return Servo(gear**2 * float(stiffness), damping, None if np.isinf(limit) else limit, goals)

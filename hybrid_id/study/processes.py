@@ -94,4 +94,4 @@ def fit_share(
     part = horizon.cut(system, settings["engine"], whole)
     given: dict[str, Any] = {**settings, "progress": lambda *_: stop.exists()}
     sets = fit_records(system, part, numbers=share, **given)
-    return settled(sets, horizon, whole, numbers=list(share), **{**given, "starts": 1})
+    return settled(sets, horizon, whole, **{**given, "starts": 1})

@@ -10,7 +10,7 @@ from hybrid_id.components import AsymmetricFriction, PositionDependent
 from hybrid_id.diagnosis.catalogue import CATALOGUE, with_effect
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.scales import Scales, scales
-from hybrid_id.diagnosis.starts import at_nominal, special_cases, without
+from hybrid_id.diagnosis.starts import special_cases, with_values_of, without
 from hybrid_id.systems import System
 
 PLACE = "joint1/motor_friction"
@@ -80,6 +80,6 @@ def test_model_without_an_effect_is_the_one_before(name: str, offered: tuple[Sys
 
 def test_nominal_values_that_cannot_stand_beside_an_effect_are_left_out() -> None:
     _, nominal = small_case()
-    assert at_nominal(nominal, nominal) is not None
+    assert with_values_of(nominal, nominal) is not None
     F_c = replace(nominal.parameter("F_c").spec, value=1e-9, upper=1e-8)
-    assert at_nominal(nominal.with_specs({"F_c": F_c}), nominal) is None  # out of its bounds
+    assert with_values_of(nominal.with_specs({"F_c": F_c}), nominal) is None  # out of its bounds

@@ -60,4 +60,6 @@ class BaseTilt(Shared):
 
     @staticmethod
     def starts(site):
-        return [{"e_x": free(x, -3.3, 3.3), "e_y": free(y, -1.6, 1.6)} for x, y in MOUNTS if site.bodies]
+        if not site.bodies:
+            return []
+        return [{"e_x": free(x, -3.3, 3.3), "e_y": free(y, -1.6, 1.6)} for x, y in MOUNTS]
