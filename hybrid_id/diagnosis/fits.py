@@ -36,6 +36,7 @@ from hybrid_id.identification.least_squares import LeastSquares, Options, minimi
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
 from hybrid_id.identification.restarts import confirmed, perturbed_restarts
 from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.settled import settled
 from hybrid_id.identification.windows import hidden_links
 from hybrid_id.parameters import NARROWEST_PRIOR, Bounded
 from hybrid_id.records.dataset import Dataset
@@ -357,6 +358,8 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
         hidden = fits.whole and hidden_links(task.system, batch)
         if not fits.whole:
             result = _over_windows(fits, task, batch, iterations)
+            if full:  # judged from hidden first states of its own values
+                batch = fits.batch(result.system)
         elif hidden or iterations <= COARSE:
             result = finite_difference_fit(
                 task.system, batch, engine=fits.engine, iterations=iterations, near=task.near, x0=task.x0
@@ -523,7 +526,8 @@ def _both_ways(
 def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitResult:
     """The fit to windows from the start, or from where a fit over short ones has ended, whichever ends lower.
 
-    Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all.
+    Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all. Only
+    the last fit goes on until its hidden first states are those of its own values: earlier ones are cut anew anyway.
     """
     ends = [_within(fits.engine, task.system, batch, iterations)]
     if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
@@ -531,16 +535,24 @@ def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitR
             short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
             near = _within(fits.engine, task.system, short, iterations)
             ends.append(_within(fits.engine, near.system, batch, iterations))
-    return min(ends, key=lambda end: end.cost)
+    end = min(ends, key=lambda end: end.cost)
+    if iterations < FULL:
+        return end
+    records, options = fits.records(task.system), _near(FINER)
+    return settled([end], fits.horizon, records, engine=fits.engine, options=options, warm=False)[0]
 
 
-def _within(how: Engine, start: System, batch: Batch, iterations: int) -> FitResult:
-    """The fit to windows by exact sensitivities: a model is nearly linear over so short a time.
+def _near(iterations: int) -> Options:
+    """Settings of a fit to windows.
 
     Standard errors are those of the encoders' noise, of which the errors are many times here: half of one is little.
     """
-    options = Options(max_iterations=iterations, tolerance=0.5)
-    result = fit(start, batch, pooled=True, engine=how, options=options, warm=False)[0]
+    return Options(max_iterations=iterations, tolerance=0.5)
+
+
+def _within(how: Engine, start: System, batch: Batch, iterations: int) -> FitResult:
+    """The fit to windows by exact sensitivities: a model is nearly linear over so short a time."""
+    result = fit(start, batch, pooled=True, engine=how, options=_near(iterations), warm=False)[0]
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")
     return result

@@ -19,7 +19,6 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.windows import (
     SHORTEST,
     holds_enough,
-    link_seen,
     measured_spread,
     measured_windows,
     window_samples,
@@ -118,15 +117,15 @@ class Horizon:
 
     def simulates(self, system: System, batch: Batch) -> bool:
         """Whether pieces of these records begin in states that nobody has measured, as the model has them."""
-        return self.kind != "whole" and bool(system.memory_rows or _loose(system, batch))
+        return self.kind != "whole" and bool(system.memory_rows or _unseen_sides(system, batch))
 
     def cut(self, system: System, engine: Engine, batch: Batch) -> Batch:
         """The pieces of a batch over which a model runs free; the batch itself where there is only one a record.
 
         Every piece keeps the name of its record, and the pieces of a record follow each other without overlap. Its
         first state is as measured, free within its uncertainty. What nobody has measured (heat, bristles, the twist of
-        a gear without an encoder at its link) begins as in a free run of the model and is held there: free to move, it
-        would explain whatever happens in so short a time.
+        a gear without encoders on both of its sides) begins as in a free run of the model and is held there: free to
+        move, it would explain whatever happens in so short a time.
 
         Args:
             system: model with the values that its hidden states are simulated with.
@@ -207,25 +206,29 @@ def _stroke_starts(system: System, batch: Batch, row: int) -> list[int]:
     return [*starts, samples]
 
 
-def _loose(system: System, batch: Batch) -> list[Joint]:
-    """Joints whose links turn beside their rotors, unseen."""
-    return [j for j in system.joints if not j.rigid and not link_seen(batch, j.number)]
+def _unseen_sides(system: System, batch: Batch) -> list[tuple[Joint, int]]:
+    """Joints whose gear gives way between a side that an encoder sees and one that none does, with that side's row."""
+    sides = ((joint, joint.hidden_side(batch.outputs)) for joint in system.joints)
+    return [(joint, row) for joint, row in sides if row is not None]
 
 
 def _simulated_hidden(system: System, engine: Engine, batch: Batch) -> tuple[Batch, list[int]]:
     """The batch with its hidden states as in a free run, and their rows."""
-    hidden, loose = list(system.memory_rows), _loose(system, batch)
-    if not hidden and not loose:
+    hidden, unseen = list(system.memory_rows), _unseen_sides(system, batch)
+    if not hidden and not unseen:
         return batch, hidden
     run = simulate(system, with_substeps(system, engine, batch), batch).x.nan_to_num(0.0, 0.0, 0.0)
     x = batch.x.clone()
     x[..., hidden] = run[..., hidden]
-    for joint in loose:
+    for joint, side in unseen:
         motor, link = joint.positions
-        for row in (0, 1):
+        for row in (0, 1):  # angle and speed
             twist = run[..., link + row] - run[..., motor + row] / joint.gear_ratio
-            x[..., link + row] = batch.x[..., motor + row] / joint.gear_ratio + twist
-            hidden.append(link + row)
+            if side == link:
+                x[..., link + row] = batch.x[..., motor + row] / joint.gear_ratio + twist
+            else:
+                x[..., motor + row] = joint.gear_ratio * (batch.x[..., link + row] - twist)
+            hidden.append(side + row)
     return replace(batch, x=x), hidden
 
 

@@ -2,11 +2,12 @@
 
 A piece begins in states that nobody has measured (the twist of a gear, a bristle, heat) as a free run of the model has
 them there, and is held to them. A free run with the start values holds the estimates to these: so records are cut anew
-with the fitted values, and fitted again, until the estimates stay.
+with the fitted values, and fitted again, until the estimates stay or err more than those before.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -50,14 +51,19 @@ def settled(
     for one in sets:
         rows = [row for row, name in enumerate(batch.names) if name in one.records]
         own = batch.take(torch.tensor(rows, device=batch.x.device))
+        before, least = one, math.inf
         for _ in range(ROUNDS):
             if one.status in ("diverged", "interrupted"):
                 break
-            part, before = horizon.cut(one.system, engine, own), one
-            (one,) = kept_fit(kept, one.system, part, pooled=True, engine=engine, **settings)
-            if one.status == "diverged":
+            part = horizon.cut(one.system, engine, own)
+            (again,) = kept_fit(kept, one.system, part, pooled=True, engine=engine, **settings)
+            errs = again.history[
+                0
+            ]  # those of the values that it begins with, from their own hidden first states
+            if again.status == "diverged" or not errs <= least:
                 one = before
                 break
+            one, before, least = again, one, errs
             if _moved(before, one) <= SETTLED * one.noise_scale:
                 break
         found.append(one)

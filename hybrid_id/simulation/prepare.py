@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -219,7 +219,7 @@ def _states(
         else:
             states[:, link : link + 2] = states[:, row : row + 2] / ratio
             stds[link : link + 2] = stds[row : row + 2] / ratio
-        hidden = _hidden_side(joint, record.outputs)
+        hidden = joint.hidden_side(record.outputs)
         if hidden is not None and rest < RESTING:  # in motion nobody knows the spring's deflection
             stds[hidden : hidden + 2] += 0.1 * states[:, hidden : hidden + 2].std(0)
     return states, stds if estimate_start else np.zeros_like(stds)
@@ -232,7 +232,7 @@ def _wind_up(
 
     In motion that is known of a robot alone, whose description says what the links need.
     """
-    sides = [_hidden_side(joint, records[0].outputs) for joint in system.joints]
+    sides = [joint.hidden_side(records[0].outputs) for joint in system.joints]
     if not any(hidden is not None for hidden in sides):
         return
     still = torch.tensor([rest_samples(record) >= RESTING for record in records])
@@ -326,16 +326,6 @@ def _start_sensor_states(system: System, x: Tensor, u: Mapping[str, Tensor]) -> 
     for joint in system.joints:
         if joint.sensing.lag is not None:
             x[:, :, joint.sensing.lag_row] = torques[joint.number].expand(len(rows[0])).reshape(x.shape[:2])
-
-
-def _hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:
-    """Row of the angle, the motor's or the link's, that outputs do not tell behind a gear that gives way; else None."""
-    if joint.rigid:
-        return None
-    motor, link = joint.positions
-    if f"q_a{joint.number}" not in outputs:
-        return link
-    return None if {f"q_m{joint.number}", f"v_m{joint.number}"} & set(outputs) else motor
 
 
 @torch.no_grad()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import SimpleNamespace
 from typing import cast
 
@@ -456,6 +456,15 @@ class Joint:
             (free and _has(law, "dry", "dry_over")) or _has(law, "load_factor", "effort_factor")
             for law in laws
         )
+
+    def hidden_side(self, outputs: Collection[str]) -> int | None:
+        """Row of the angle, the motor's or the link's, that outputs do not tell behind a gear that gives way."""
+        if self.rigid:
+            return None
+        motor, link = self.positions
+        if f"q_a{self.number}" not in outputs:
+            return link
+        return None if {f"q_m{self.number}", f"v_m{self.number}"} & set(outputs) else motor
 
     def dry_level(
         self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]
