@@ -58,6 +58,13 @@ class Loss:
         factor = self.delta / r.abs().clamp_min(self.delta)
         return factor / self.delta if self.kind == "l1" else factor
 
+    def curvature(self, r: Tensor) -> float:
+        """Mean of loss''(r): what a residual tells of an estimate; of one residual at least."""
+        if self.kind == "l2" or not r.numel():
+            return 1.0
+        share = max(float((r.abs() <= self.delta).double().mean()), 1.0 / r.numel())
+        return share / self.delta if self.kind == "l1" else share
+
 
 @dataclass
 class Evaluation:

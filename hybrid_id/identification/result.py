@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,7 +44,8 @@ class FitResult:
         n_samples: number of measurements.
         iterations: trial steps.
         jacobian: for each row the weighted sensitivities of the outputs, start state eliminated, ``(T, n_y, n_f)``.
-        residual: for each row the weighted residuals (measured - simulated), ``(T, n_y)``.
+        residual: for each row the weighted residuals (measured - simulated), ``(T, n_y)``; what a robust loss makes
+            of both, see :func:`sensitivities`.
         prior_precision: of each estimated parameter, ``(n_f,)``, 0 where it has no prior.
         x0: start states of each row, ``(R, n_x)``.
         engine: how it was integrated.
@@ -162,19 +164,25 @@ def make_result(problem: LeastSquares, outcome: Outcome, chosen: int, options: O
 def sensitivities(
     at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """For each row the weighted sensitivities, the start state eliminated, and the weighted residuals."""
-    n_x = at.x.shape[-1]
+    """For each row the weighted sensitivities J, the start state eliminated, and the weighted residuals r.
+
+    Of a robust loss J sqrt(m) and loss'(r) / sqrt(m), m the mean of loss'': their products are the curvature and the
+    scores of an M-estimate (P. J. Huber, Robust Statistics, 1981, section 7.6), whose covariance so is that of a least
+    squares'. The weights of its iterations would claim the curvature of residuals that pull alike wherever they are.
+    """
+    n_x, loss = at.x.shape[-1], options.loss
+    known = (batch.weight[records] > 0).to(at.residual.device)
+    curvature = math.sqrt(loss.curvature(at.residual[rows][known]))
     jacobians, residuals = [], []
     for row, record in zip(rows.tolist(), records.tolist(), strict=True):
         keep = (batch.weight[record] > 0).any(1)
         residual = at.residual[row][keep]
-        factor = options.loss.factor(residual).sqrt()
-        jacobian = at.jacobian[row][keep] * factor[..., None]
+        jacobian = at.jacobian[row][keep] * curvature
         hessian = at.hessian[row]
         start, cross = hessian[:n_x, :n_x], hessian[:n_x, n_x:]
         back, singular = torch.linalg.solve_ex(start, cross)
         if singular:  # a start state that the record does not see, inside a gear's play say, takes up nothing
             back = torch.linalg.pinv(start, hermitian=True) @ cross
         jacobians.append((jacobian[..., n_x:] - jacobian[..., :n_x] @ back).cpu().numpy())
-        residuals.append((residual * factor).cpu().numpy())
+        residuals.append((residual * loss.factor(residual) / curvature).cpu().numpy())
     return tuple(jacobians), tuple(residuals)

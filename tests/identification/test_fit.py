@@ -33,6 +33,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
+from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
@@ -170,6 +171,25 @@ def test_order_of_the_free_parameters_does_not_matter(batch: Batch) -> None:
         for order in (free, free[::-1])
     ]
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("loss", [Loss("huber", 2.0), Loss("l1", 0.5)], ids=lambda loss: loss.kind)
+def test_standard_errors_of_robust_losses_are_the_scatter_of_estimates(loss: Loss) -> None:
+    """Errors five times as large as the weights say: taken from the re-weighting they were half of it."""
+    clean, rng = record(0, noise=0.0), np.random.default_rng(5)
+    noisy = [
+        Record(
+            f"r{k}", clean.time, clean.inputs, {"q_m1": clean.outputs["q_m1"] + rng.laplace(0.0, 0.1, 1000)}
+        )
+        for k in range(60)
+    ]
+    batch = make_batch(TRUTH, noisy, noise_std=NOISE, signal_share=0.0)
+    batch = replace(batch, x=batch.x.clone(), x0_std=torch.zeros_like(batch.x0_std))
+    batch.x[:, 0] = 0.0  # known: the weights would claim too much of a measured one
+    sets = fit(TRUTH, batch, options=Options(loss=loss))
+    said = np.mean([robust_covariance(one.jacobian, one.residual).std_error for one in sets], axis=0)
+    scatter = np.std([one.values for one in sets], axis=0, ddof=1)
+    np.testing.assert_allclose(said / scatter, 1.0, atol=0.2)
 
 
 @pytest.mark.parametrize("loss", [Loss("huber", 2.0), Loss("l1", 0.1)], ids=lambda loss: loss.kind)
