@@ -518,7 +518,7 @@ def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:
     """Parameters of a fit with their autocorrelation-robust standard errors, by name; empty without one."""
     if whole is None:
         return {}
-    std = robust_covariance(whole.jacobian, whole.residual, prior_precision=whole.prior_precision).std_error
+    std = robust_covariance(*whole.of_records(), prior_precision=whole.prior_precision).std_error
     return {n: (float(v), float(s)) for n, v, s in zip(whole.names, whole.values, std, strict=True)}
 
 

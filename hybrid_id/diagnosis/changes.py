@@ -229,13 +229,11 @@ def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, n
     means = [v if own.get(n) is None else own[n] for n, v in zip(fit.names, fit.values, strict=True)]
     pull = fit.prior_precision * (fit.values - np.array(means))
     matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
-    estimate = robust_covariance if matched else covariance
-    residual = (
-        fit.residual
-        if matched
-        else [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
-    )
-    cov = estimate(fit.jacobian, residual)
+    if matched:
+        cov = robust_covariance(*fit.of_records())
+    else:
+        even = [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
+        cov = covariance(fit.jacobian, even)
     change = change + (cov.inverse_hessian @ pull)[kept] / size
     root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
     root = root * size

@@ -21,7 +21,6 @@ from hybrid_id.diagnosis.screen import SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
-from hybrid_id.identification.horizons import joined
 from hybrid_id.systems.chain import System
 
 
@@ -92,11 +91,11 @@ def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel
     try:
         system = robot.system(models, held=True)
         rows = train_rows(robot.records, system, robot.horizon, robot.signal_share)
-        fit, names = fitted(system, rows, robot.kept), list(dict.fromkeys(rows.names))
+        fit = fitted(system, rows, robot.kept)
     except UNFITTED:
         return None
     # windows of a record err for the same reasons: records are the witnesses
-    seen = validation([joined(fit.residual, fit, name) for name in names], rows.sample_time, names)
+    seen = validation(fit.of_records()[1], rows.sample_time, list(dict.fromkeys(rows.names)))
     return FittedModel((), fit, seen, judged=False)
 
 

@@ -357,8 +357,8 @@ def astray(fits: Sequence[FitResult], batch: Batch) -> float:
     """
     found = []
     for one in fits:
-        for record in dict.fromkeys(one.records):
-            square = np.square(joined(one.residual, one, record)).mean(0)
+        for record, residual in zip(dict.fromkeys(one.records), one.of_records()[1], strict=True):
+            square = np.square(residual).mean(0)
             found.append(_relative(square, batch, batch.names.index(record)).mean())
     return float(np.mean(found))
 
@@ -379,27 +379,22 @@ def _lost_after(result: FitResult, batch: Batch) -> str:
     return f" after {np.argmax(lost) * batch.sample_time:.2g} s" if lost.any() else ""
 
 
-def joined(parts: Sequence[np.ndarray], result: FitResult, record: str) -> np.ndarray:
-    """Rows of a record's pieces in a fit, one after the other: of its residuals, say."""
-    return np.concatenate([part for part, name in zip(parts, result.records, strict=True) if name == record])
-
-
 def covariance_size(result: FitResult, inside: Sequence[int]) -> tuple[float, float]:
     """Log volume of the ellipsoid of standard errors of some parameters, and in how many directions records tell it.
 
     The scatter of the score over blocks gives it. Nobody knows less of a parameter than its own size.
     """
-    records, inside = list(dict.fromkeys(result.records)), list(inside)
+    found, inside = result.of_records(), list(inside)
     noise = max(result.noise_scale, 1e-12) ** 2
     prior = np.diag(result.prior_precision[inside])
     weak = noise * np.diag(1.0 / np.maximum(np.abs(result.values[inside]), 1e-12) ** 2)
     information, scatter = prior + weak, prior + noise * weak
     known = information
-    for record in records:
-        jacobian = joined(result.jacobian, result, record)[..., inside]
-        score = np.einsum("tyi,ty->ti", jacobian, joined(result.residual, result, record))
+    for sensitivities, residual in zip(*found, strict=True):
+        jacobian = sensitivities[..., inside]
+        score = np.einsum("tyi,ty->ti", jacobian, residual)
         information = information + np.einsum("tyi,tyj->ij", jacobian, jacobian)
-        blocks = np.array([b.sum(0) for b in np.array_split(score, -(-BLOCKS // len(records)))])
+        blocks = np.array([b.sum(0) for b in np.array_split(score, -(-BLOCKS // len(found[1])))])
         scatter = scatter + blocks.T @ blocks
     size = 0.5 * np.linalg.slogdet(scatter)[1] - np.linalg.slogdet(information)[1]
     return float(size), len(inside) - float(np.trace(np.linalg.solve(information, known)))

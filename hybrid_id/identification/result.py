@@ -105,6 +105,20 @@ class FitResult:
         seen = np.any([np.abs(part).max((0, 1)) > 0.0 for part in self.jacobian], axis=0)
         return tuple(name for name, one in zip(self.names, seen, strict=True) if not one)
 
+    def of_records(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Sensitivities and residuals of each record, its pieces one after the other.
+
+        Covariances take records as independent, which pieces of one are not: what a model lacks outlasts them.
+        """
+        rows = [
+            [k for k, name in enumerate(self.records) if name == one] for one in dict.fromkeys(self.records)
+        ]
+        jacobian, residual = (
+            [np.concatenate([parts[k] for k in mine]) for mine in rows]
+            for parts in (self.jacobian, self.residual)
+        )
+        return jacobian, residual
+
     def condensed(self) -> FitResult:
         """The same fit with a root of each row's sensitivities, ``(n_f, 1, n_f)``, whose products are the same.
 

@@ -219,9 +219,6 @@ def _states(
         else:
             states[:, link : link + 2] = states[:, row : row + 2] / ratio
             stds[link : link + 2] = stds[row : row + 2] / ratio
-        hidden = joint.hidden_side(record.outputs)
-        if hidden is not None and rest < RESTING:  # in motion nobody knows the spring's deflection
-            stds[hidden : hidden + 2] += 0.1 * states[:, hidden : hidden + 2].std(0)
     return states, stds if estimate_start else np.zeros_like(stds)
 
 
@@ -230,13 +227,17 @@ def _wind_up(
 ) -> None:
     """Put the hidden side of a gear where the load puts it at the start; a fit may move it as far.
 
-    In motion that is known of a robot alone, whose description says what the links need.
+    In motion that is known of a robot alone, whose description says what the links need; and nobody knows how the
+    spring swings: a fit may wind it up as far as the drive's torque does, and no further, since a gear that may begin
+    anywhere explains whatever a short record lacks.
     """
     sides = [joint.hidden_side(records[0].outputs) for joint in system.joints]
     if not any(hidden is not None for hidden in sides):
         return
     still = torch.tensor([rest_samples(record) >= RESTING for record in records])
     first = {name: channel[:, 0] for name, channel in u.items()}
+    p = system.views(list(system.theta()[:, None]))
+    flat, channels = [c.reshape(-1) for c in x.unbind(2)], {name: c.reshape(-1) for name, c in u.items()}
     for number, (joint, hidden) in enumerate(zip(system.joints, sides, strict=True)):
         if hidden is None:
             continue
@@ -248,7 +249,14 @@ def _wind_up(
         turn = twist if hidden == joint.positions[1] else -joint.gear_ratio * twist
         x[:, :, hidden] += turn[:, None]
         std = x0_std[:, hidden]
-        x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn), std)
+        drive = joint.gear_ratio * joint.drive.torque(flat, channels, p).expand(len(flat[0]))
+        most = drive.reshape(x.shape[:2]).square().mean(1).sqrt() * ~still
+        reach = _loaded_twist(system, joint, begun, first, needed + most, still) - twist
+        reach = (reach if hidden == joint.positions[1] else joint.gear_ratio * reach).abs() * ~still
+        x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn) + reach, std)
+        rate = reach * x[:, :, hidden + 1].std(1) / x[:, :, hidden].std(1).clamp_min(1e-12)
+        speed = x0_std[:, hidden + 1]
+        x0_std[:, hidden + 1] = torch.where(speed > 0, speed + rate, speed)
 
 
 def _stopped(system: System, x: Sequence[Tensor]) -> list[Tensor]:
@@ -366,7 +374,8 @@ def _loaded_twist(
         still: whether it is at rest, ``(B,)``.
     """
     nothing = torch.zeros_like(x[0])
-    if system.tree is None and not (joint.loads or joint.logged or joint.gear.errors):
+    pulled = system.tree is not None or joint.loads or joint.logged or joint.gear.errors or needed.any()
+    if not pulled:
         return nothing
     p = system.views(list(system.theta().to(x[0])[:, None]))
     link = joint.positions[1]

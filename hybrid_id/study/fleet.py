@@ -127,7 +127,7 @@ def fit_robot(task: FleetTask, dataset: Dataset) -> RobotFit:
     hessians, covariances = [], []
     for one in used:
         hessians.append(sum(np.einsum("tyi,tyj->ij", j, j) for j in one.jacobian))
-        found = autocorrelation_robust(one.jacobian, one.residual, prior_precision=one.prior_precision)
+        found = autocorrelation_robust(*one.of_records(), prior_precision=one.prior_precision)
         covariances.append(found.matrix - found.inverse_hessian @ precision @ found.inverse_hessian)
     if not all(np.isfinite(one).all() for one in covariances):
         raise InputError("the errors of its estimates are not finite; check units and start values")

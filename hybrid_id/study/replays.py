@@ -42,19 +42,25 @@ def batch_of(
     return make_batch(system, records, noise_std=noise, signal_share=signal_share, typical=typical).to(device)
 
 
-def cross_validate(sets: Sequence[FitResult], batch: Batch, *, pooled: bool) -> CrossValidation:
+def cross_validate(
+    sets: Sequence[FitResult], batch: Batch, horizon: Horizon = WHOLE, *, pooled: bool
+) -> CrossValidation:
     """Fit % of every set on every record: measured outputs, and speeds against smoothed derivatives.
 
     Args:
         sets: parameter sets.
-        batch: whole records, or their pieces, over which the free runs begin anew.
+        batch: whole records, or pieces of them, over which the free runs begin anew.
+        horizon: how whole records are cut into pieces, which begin in hidden states of each set's own.
         pooled: whether one set was fitted to all of them.
     """
     system = sets[0].system
+    each = horizon.simulates(system, batch)
+    cut = [horizon.cut(r.system, r.engine, batch) for r in (sets if each else sets[:1])]
+    pieces, batch = cut if each else cut * len(sets), cut[0]
     speeds = [joint.positions[0] + 1 for joint in system.joints if f"v_m{joint.number}" not in batch.outputs]
     signals = (*batch.outputs, *(system.state_names[row] for row in speeds))
     theta = torch.stack([r.system.theta().detach() for r in sets], 1).to(batch.x.device)
-    share = max(1, LANES // (batch.rows * batch.x.shape[1]))
+    share = 1 if each else max(1, LANES // (batch.rows * batch.x.shape[1]))
     records = tuple(dict.fromkeys(batch.names))
     run_freely = simulate if len(records) == batch.rows else free_runs
     fits = np.empty((len(sets), len(records), len(signals)))
@@ -64,10 +70,11 @@ def cross_validate(sets: Sequence[FitResult], batch: Batch, *, pooled: bool) -> 
         for first in range(0, len(alike), share):
             some = torch.tensor(alike[first : first + share])
             rows = torch.arange(batch.rows).repeat(len(some)).to(batch.x.device)
-            run = run_freely(system, engine, batch.take(rows), theta[:, some.repeat_interleave(batch.rows)])
+            part = pieces[int(some[0])].take(rows)
+            run = run_freely(system, engine, part, theta[:, some.repeat_interleave(batch.rows)])
             simulated = torch.cat([run.y, run.x[..., speeds]], -1).cpu().numpy()
             for k, i in enumerate(some.tolist()):
-                fits[i] = _fits(batch, simulated[k * batch.rows : (k + 1) * batch.rows], speeds)
+                fits[i] = _fits(pieces[i], simulated[k * batch.rows : (k + 1) * batch.rows], speeds)
     own = [-1] * len(sets) if pooled else list(range(len(sets)))
     labels = ["pooled"] if pooled else [r.records[0] for r in sets]
     return cross_validation(

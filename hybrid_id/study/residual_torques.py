@@ -377,9 +377,7 @@ def _map(dataset: Dataset, system: System, joint: Joint, signal_share: float) ->
 
 def standard_errors(physics: FitResult) -> dict[str, float]:
     """Autocorrelation-robust standard errors of the parameters that have one, by name."""
-    std = robust_covariance(
-        physics.jacobian, physics.residual, prior_precision=physics.prior_precision
-    ).std_error
+    std = robust_covariance(*physics.of_records(), prior_precision=physics.prior_precision).std_error
     return {n: float(s) for n, s in zip(physics.names, std, strict=True) if 0.0 < s < np.inf}
 
 

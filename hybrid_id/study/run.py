@@ -196,11 +196,10 @@ def analyse_fits(
         _refuse_diverged(dataset, system, sets[0].engine, batch)
     for result in sets:  # statistics are numpy's
         result.system.to("cpu")
-    batch = horizon.cut(sets[0].system, sets[0].engine, batch)
     plain, robust = (
         tuple(_covariance_of(way, r) for r in sets) for way in (covariance, autocorrelation_robust)
     )
-    matrix = cross_validate(sets, batch, pooled=pooled)
+    matrix = cross_validate(sets, batch, horizon, pooled=pooled)
     selection = select(matrix)
     chosen = sets[selection.index]
     finite = np.isfinite(plain[selection.index].std_error)
@@ -234,10 +233,11 @@ def analyse_fits(
     elif any(result.status == "max_iterations" for result in sets):
         why = "the iterations were used up before the fit had converged"
         reliability = tuple(replace(r, grade="C", reason=why) if r.grade in "AB" else r for r in reliability)
+    pieces = horizon.cut(chosen.system, chosen.engine, batch)
     by_record, by_output = test_errors(dataset, chosen, signal_share, horizon)
     return Study(
         system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,
-        by_record, engine_error(chosen, batch), horizon=horizon, level=level, test_errors=by_output,
+        by_record, engine_error(chosen, pieces), horizon=horizon, level=level, test_errors=by_output,
         outputs=with_joint_names(dataset.outputs, system), input_error=input_error,
     )  # fmt: skip
 
@@ -307,7 +307,7 @@ def _covariance_of(way: Callable[..., Covariance], result: FitResult) -> Covaria
     if result.status == "diverged":
         nothing = np.full((len(result.values),) * 2, np.nan)
         return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
-    return way(result.jacobian, result.residual, prior_precision=result.prior_precision)
+    return way(*result.of_records(), prior_precision=result.prior_precision)
 
 
 def _estimates(sets: Sequence[FitResult]) -> np.ndarray:
@@ -346,7 +346,7 @@ def _errors_of_the_mean(
     ways: dict[str, Literal["auto", "record"]] = {"block bootstrap": "auto"}
     ways |= {"record bootstrap": "record"} if len(result.residual) > 4 else {}
     for way, block in ways.items():
-        blocks = block_contributions(result.jacobian, result.residual, block=block)
+        blocks = block_contributions(*result.of_records(), block=block)
         errors[way] = one_step_bootstrap(
             result.values, blocks, prior_precision=result.prior_precision, seed=seed
         ).std_error

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import torch
 
 from hybrid_id.components import Viscous
+from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Channel, Dataset
@@ -13,6 +15,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
+from hybrid_id.study.replays import cross_validate
 from hybrid_id.study.run import identify
 from hybrid_id.systems import one_link, one_link_flexible
 from hybrid_id.systems.chain import System
@@ -82,6 +85,31 @@ def test_each_record_settles_by_itself_in_any_process(dataset: Dataset) -> None:
     here, there = (stiffness(dataset, start, pooled=False, jobs=jobs) for jobs in (1, 2))
     true = TRUTH.parameter("k").spec.value / TRUTH.parameter("J_m").spec.value
     assert here == pytest.approx([true] * 2, rel=0.15) and there == pytest.approx(here, rel=1e-6)
+
+
+def test_each_set_is_judged_from_its_own_hidden_states(dataset: Dataset) -> None:
+    batch = make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE})
+    sets = []
+    for k, name in zip((15.0, 60.0), batch.names, strict=True):
+        system, rows = TRUTH.with_values({"k": k}), batch.take(torch.tensor([batch.names.index(name)]))
+        part = PIECES.cut(system, Engine(), rows)
+        sets += fit(system, part, pooled=True, engine=Engine(), options=Options(max_iterations=0))
+    both = cross_validate(sets, batch, PIECES, pooled=False).fits
+    for one, seen in zip(sets, both, strict=True):
+        own = cross_validate([one], batch, PIECES, pooled=False).fits[0]
+        np.testing.assert_allclose(seen, own, rtol=1e-9)
+    others = PIECES.cut(sets[0].system, Engine(), batch)
+    assert np.abs(cross_validate(sets[1:], others, pooled=False).fits[0] - both[1]).max() > 1e-3
+
+
+def test_pieces_of_a_record_are_one_record_to_its_covariance(dataset: Dataset) -> None:
+    batch = make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE})
+    part = PIECES.cut(TRUTH, Engine(), batch)
+    (one,) = fit(TRUTH, part, pooled=True, engine=Engine(), options=Options(max_iterations=0))
+    jacobian, residual = one.of_records()
+    assert len(one.residual) == part.rows > len(residual) == len(jacobian) == 2
+    np.testing.assert_array_equal(np.concatenate(residual), np.concatenate(one.residual))
+    np.testing.assert_array_equal(np.concatenate(jacobian), np.concatenate(one.jacobian))
 
 
 def test_only_hidden_states_are_simulated(dataset: Dataset) -> None:

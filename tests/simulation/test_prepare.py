@@ -237,6 +237,27 @@ def test_flexible_record_that_starts_in_motion_leaves_the_link_free() -> None:
     assert (batch.x0_std[0] > 0).all()
 
 
+@pytest.mark.parametrize("side", ["q_m1", "q_a1"])
+def test_a_gear_may_begin_as_far_wound_up_as_its_drive_winds_it(side: str) -> None:
+    """Free by a tenth of the motion, a gear that is nearly rigid began anywhere, and explained short records."""
+    quiet = {side: 1e-9}
+    later = make_record(
+        flexible_drive(), multisine(1, samples=800), seed=1, noise=quiet, outputs=(side,), name="later"
+    ).between(0.5, 1.5)
+    spread, motors = [], []
+    for k in (50.0, 100.0):
+        soft = flexible_drive().with_values({"k": k})
+        batch = make_batch(soft, [later], noise_std=quiet)
+        joint = soft.joints[0]
+        hidden = joint.positions[1] if side == "q_m1" else joint.positions[0]
+        spread.append(batch.x0_std[0, hidden].item())
+        rows, views = list(batch.x[0].unbind(1)), soft.views(list(soft.theta()[:, None].detach()))
+        drive = joint.drive.torque(rows, {name: u[0] for name, u in batch.u.items()}, views)
+        twist = joint.gear_ratio * drive.square().mean().sqrt().item() / k
+        motors.append(twist if side == "q_m1" else twist * joint.gear_ratio)
+    assert spread == pytest.approx(motors, rel=1e-3)
+
+
 def test_offset_that_is_estimated_frees_the_start_angle() -> None:
     held, free = (
         rigid_drive(vertical=True).with_component(
