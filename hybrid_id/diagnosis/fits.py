@@ -358,8 +358,6 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
         hidden = fits.whole and hidden_links(task.system, batch)
         if not fits.whole:
             result = _over_windows(fits, task, batch, iterations)
-            if full:  # judged from hidden first states of its own values
-                batch = fits.batch(result.system)
         elif hidden or iterations <= COARSE:
             result = finite_difference_fit(
                 task.system, batch, engine=fits.engine, iterations=iterations, near=task.near, x0=task.x0
@@ -368,6 +366,8 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
             result = _nearest(fits.engine, task, batch, iterations, halting)
         if hidden and task.perturb and full:
             result = perturbed_restarts(result, batch, tries=TRIES)
+        if full:  # judged from hidden first states of its own values
+            batch = fits.batch(result.system)
         # what is taken as it stands has seen no validation record either
         judge = full or (iterations == 0 and bool(fits.dataset.validation))
         judge = judge and mean_square(result.residual) < task.judged_below
@@ -425,20 +425,22 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of each row, ``(T, n_y)``, predicted by fits of the other records alone.
 
     Every fit starts from that of all records, over windows from its linearised estimate without the part, with the
-    first states that it has found: these are the left-out record's own. A single record has no others: its blocks are
-    left out one sixth at a time.
+    first states that it has found: these are the left-out record's own. What nobody measures of them has been fitted to
+    that record and would explain it: it begins as the values say. A single record has no others: its blocks are left
+    out one sixth at a time.
     """
     fold = folds(batch)
     if fold is None:
         return leave_one_out(result, batch, AGAIN)
     if len(set(batch.names)) == batch.rows:
         return _predicted_records(result, batch, fold)
+    first = _as_measured(result, batch)
     inside = [np.flatnonzero(fold != k) for k in range(fold.max() + 1)]
     system, free, parts = result.system, result.system.estimated, len(inside)
     sets = torch.repeat_interleave(torch.arange(parts), torch.tensor([len(rows) for rows in inside]))
     some = batch.take(torch.as_tensor(np.concatenate(inside)))
     some = replace(some, x=some.x.clone())
-    some.x[:, 0] = torch.as_tensor(result.x0[np.concatenate(inside)])
+    some.x[:, 0] = torch.as_tensor(first[np.concatenate(inside)])
     theta = system.theta().detach()[:, None].repeat(1, parts)
     theta[free] = torch.as_tensor(started_without(result, batch, fold).T)
     options, bounds = Options(max_iterations=2 * AGAIN, tolerance=0.5), make_bounds(system, free)
@@ -446,9 +448,17 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     problem = LeastSquares(system, result.engine, some, sets, free, bounds)
     again = minimise(problem, theta, options, nodes=nodes)
     points = again.theta[free].T.numpy()
-    runs = Rollouts(system, batch, result.engine, free).residuals(points, np.tile(result.x0, (parts, 1, 1)))
+    runs = Rollouts(system, batch, result.engine, free).residuals(points, np.tile(first, (parts, 1, 1)))
     kept = (batch.weight > 0).any(2).numpy()
     return [runs[fold[row], row, kept[row]] for row in range(batch.rows)]
+
+
+def _as_measured(result: FitResult, batch: Batch) -> np.ndarray:
+    """First states of a fit, ``(R, n_x)``, of which those that nobody measures are the batch's."""
+    first = torch.where(batch.x0_std > 0, torch.as_tensor(result.x0), batch.x[:, 0])
+    hidden = [row for joint in result.system.joints for row in joint.hidden_rows(batch.outputs)]
+    first[:, hidden] = batch.x[:, 0, hidden]
+    return first.numpy()
 
 
 def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> list[np.ndarray]:
@@ -457,6 +467,7 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
     In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
     then it starts where the linearised step without the part leads.
     """
+    first = _as_measured(result, batch)
     rippled = autocorrelation(result.residual) > CRITERIA.coloured
     starts = started_without(result, batch, fold) if rippled else None
     found: list[np.ndarray] = [np.empty(0)] * batch.rows
@@ -476,7 +487,7 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
                 start = result.system.with_values(dict(zip(result.names, starts[k].tolist(), strict=True)))
                 again = finite_difference_fit(start, others, **settings)
         rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
-        errors = rest.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
+        errors = rest.residuals(again.values[None], first[None, outside.numpy()])[0]
         for row, error in zip(outside.tolist(), errors, strict=True):
             found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
     return found

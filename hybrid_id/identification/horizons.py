@@ -206,10 +206,10 @@ def _stroke_starts(system: System, batch: Batch, row: int) -> list[int]:
     return [*starts, samples]
 
 
-def _unseen_sides(system: System, batch: Batch) -> list[tuple[Joint, int]]:
-    """Joints whose gear gives way between a side that an encoder sees and one that none does, with that side's row."""
-    sides = ((joint, joint.hidden_side(batch.outputs)) for joint in system.joints)
-    return [(joint, row) for joint, row in sides if row is not None]
+def _unseen_sides(system: System, batch: Batch) -> list[tuple[Joint, list[int]]]:
+    """Joints whose gear gives way where no encoder sees it, with the rows of what is not seen."""
+    sides = ((joint, joint.hidden_rows(batch.outputs)) for joint in system.joints)
+    return [(joint, rows) for joint, rows in sides if rows]
 
 
 def _simulated_hidden(system: System, engine: Engine, batch: Batch) -> tuple[Batch, list[int]]:
@@ -220,15 +220,15 @@ def _simulated_hidden(system: System, engine: Engine, batch: Batch) -> tuple[Bat
     run = simulate(system, with_substeps(system, engine, batch), batch).x.nan_to_num(0.0, 0.0, 0.0)
     x = batch.x.clone()
     x[..., hidden] = run[..., hidden]
-    for joint, side in unseen:
+    for joint, rows in unseen:
         motor, link = joint.positions
-        for row in (0, 1):  # angle and speed
+        for row in range(len(rows)):  # angle and speed
             twist = run[..., link + row] - run[..., motor + row] / joint.gear_ratio
-            if side == link:
+            if rows[0] == link:
                 x[..., link + row] = batch.x[..., motor + row] / joint.gear_ratio + twist
             else:
                 x[..., motor + row] = joint.gear_ratio * (batch.x[..., link + row] - twist)
-            hidden.append(side + row)
+        hidden += rows
     return replace(batch, x=x), hidden
 
 

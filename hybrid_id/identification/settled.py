@@ -7,17 +7,20 @@ with the fitted values, and fitted again, until the estimates stay or err more t
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
-from hybrid_id.identification.fit import kept_fit
-from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.fit import fit, kept_fit
+from hybrid_id.identification.horizons import Horizon, free_runs
 from hybrid_id.identification.keep import Kept
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 
 ROUNDS = 12
@@ -43,7 +46,7 @@ def settled(
         batch: the whole records.
         engine: how a sample is integrated.
         kept: fits that are kept from before.
-        settings: further arguments of :func:`hybrid_id.identification.fit.fit`, but for the start points.
+        settings: further arguments of :func:`hybrid_id.identification.fit.fit`, its options among them.
     """
     if not sets or not horizon.simulates(sets[0].system, batch):
         return sets
@@ -51,23 +54,46 @@ def settled(
     for one in sets:
         rows = [row for row, name in enumerate(batch.names) if name in one.records]
         own = batch.take(torch.tensor(rows, device=batch.x.device))
-        before, least = one, math.inf
-        for _ in range(ROUNDS):
-            if one.status in ("diverged", "interrupted"):
-                break
-            part = horizon.cut(one.system, engine, own)
-            (again,) = kept_fit(kept, one.system, part, pooled=True, engine=engine, **settings)
-            errs = again.history[
-                0
-            ]  # those of the values that it begins with, from their own hidden first states
-            if again.status == "diverged" or not errs <= least:
-                one = before
-                break
-            one, before, least = again, one, errs
-            if _moved(before, one) <= SETTLED * one.noise_scale:
-                break
+        if one.status not in ("diverged", "interrupted"):
+            one = _until_it_stays(one, horizon, own, engine=engine, kept=kept, **settings)
         found.append(one)
     return found
+
+
+def _until_it_stays(
+    one: FitResult, horizon: Horizon, batch: Batch, *, engine: Engine, kept: Kept | None, **settings: Any
+) -> FitResult:
+    """A set fitted to pieces cut anew while it errs less from its own hidden first states, with its errors there."""
+    options = settings.get("options") or Options()
+    loss = options.loss
+    part, first, least = _from_its_own(one, horizon, batch, loss)
+    for _ in range(ROUNDS):
+        (again,) = kept_fit(kept, one.system, part, pooled=True, engine=engine, **settings)
+        if again.status == "diverged":
+            break
+        there, began, errs = _from_its_own(again, horizon, batch, loss)
+        if not errs < least:
+            break
+        moved, one, part, first, least = _moved(one, again), again, there, began, errs
+        if moved <= SETTLED * one.noise_scale or one.status == "interrupted":
+            break
+    as_it_is = settings | {
+        "options": replace(options, max_iterations=0),
+        "warm": False,
+        "starts": 1,
+    }
+    (end,) = fit(one.system, part, pooled=True, engine=one.engine, x0=first, **as_it_is)
+    return replace(end, status=one.status, iterations=one.iterations, history=one.history)
+
+
+def _from_its_own(
+    one: FitResult, horizon: Horizon, batch: Batch, loss: Loss
+) -> tuple[Batch, torch.Tensor, float]:
+    """Pieces that begin as a set's values say, the first states of free runs over them, and what these cost."""
+    part = horizon.cut(one.system, one.engine, batch)
+    run = free_runs(one.system, with_substeps(one.system, one.engine, part), part)
+    errors = ((run.y - part.y) * part.weight)[part.weight > 0]
+    return part, run.x[:, 0], float(loss.value(errors).sum())
 
 
 def _moved(before: FitResult, after: FitResult) -> float:

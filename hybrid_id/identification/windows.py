@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from hybrid_id.components.base import Transmission
@@ -52,10 +53,9 @@ def measured_windows(
 
 
 def measured_spread(system: System, batch: Batch) -> Tensor:
-    """Standard deviation of states that are measured in motion, ``(R, n_x)``."""
+    """Standard deviation of states that are measured in motion, ``(R, n_x)``; 0 of those that are not."""
     noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
-    x0_std = 0.1 * batch.std(batch.x)
-    x0_std[:, system.memory_rows] = 0.0
+    x0_std = torch.zeros_like(batch.x[:, 0])
     for joint in system.joints:
         # behind a rigid gear either encoder tells both sides
         link = max(abs(turns) for _, turns in joint.links) if joint.rigid else 1.0

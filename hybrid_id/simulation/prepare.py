@@ -91,6 +91,8 @@ def make_batch(
     x0_std = torch.tensor(np.array(start_std), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
     _begin_loops(system, records, x, x0_std, u, estimate_start)
+    if estimate_start:
+        _free_in_motion(system, records, x, x0_std, u)
     _start_sensor_states(system, x, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
 
@@ -227,20 +229,17 @@ def _wind_up(
 ) -> None:
     """Put the hidden side of a gear where the load puts it at the start; a fit may move it as far.
 
-    In motion that is known of a robot alone, whose description says what the links need; and nobody knows how the
-    spring swings: a fit may wind it up as far as the drive's torque does, and no further, since a gear that may begin
-    anywhere explains whatever a short record lacks.
+    In motion that is known of a robot alone, whose description says what the links need.
     """
-    sides = [joint.hidden_side(records[0].outputs) for joint in system.joints]
-    if not any(hidden is not None for hidden in sides):
+    sides = [joint.hidden_rows(records[0].outputs)[:1] for joint in system.joints]
+    if not any(sides):
         return
     still = torch.tensor([rest_samples(record) >= RESTING for record in records])
     first = {name: channel[:, 0] for name, channel in u.items()}
-    p = system.views(list(system.theta()[:, None]))
-    flat, channels = [c.reshape(-1) for c in x.unbind(2)], {name: c.reshape(-1) for name, c in u.items()}
-    for number, (joint, hidden) in enumerate(zip(system.joints, sides, strict=True)):
-        if hidden is None:
+    for number, (joint, side) in enumerate(zip(system.joints, sides, strict=True)):
+        if not side:
             continue
+        (hidden,) = side
         begun = list(x[:, 0].unbind(1))
         needed = _needed_at_start(system, records, x, first, still)[number]
         twist = _loaded_twist(system, joint, begun, first, needed, still)
@@ -249,14 +248,41 @@ def _wind_up(
         turn = twist if hidden == joint.positions[1] else -joint.gear_ratio * twist
         x[:, :, hidden] += turn[:, None]
         std = x0_std[:, hidden]
-        drive = joint.gear_ratio * joint.drive.torque(flat, channels, p).expand(len(flat[0]))
-        most = drive.reshape(x.shape[:2]).square().mean(1).sqrt() * ~still
-        reach = _loaded_twist(system, joint, begun, first, needed + most, still) - twist
-        reach = (reach if hidden == joint.positions[1] else joint.gear_ratio * reach).abs() * ~still
-        x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn) + reach, std)
-        rate = reach * x[:, :, hidden + 1].std(1) / x[:, :, hidden].std(1).clamp_min(1e-12)
-        speed = x0_std[:, hidden + 1]
-        x0_std[:, hidden + 1] = torch.where(speed > 0, speed + rate, speed)
+        x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn), std)
+
+
+@torch.no_grad()
+def _free_in_motion(
+    system: System, records: Sequence[Record], x: Tensor, x0_std: Tensor, u: Mapping[str, Tensor]
+) -> None:
+    """Let a fit wind up a hidden side of a gear that begins in motion as far as the motor's torque does.
+
+    Nobody knows how the spring swings there; a gear that may begin anywhere explains whatever a short record lacks.
+    """
+    moving = [k for k, record in enumerate(records) if rest_samples(record) < RESTING]
+    p = system.views(list(system.theta()[:, None]))
+    for joint in system.joints:
+        rows = joint.hidden_rows(records[0].outputs)
+        (key, motor), drive = joint.drive.motor, joint.drive
+        for k in moving if rows else []:
+            states = list(x[k, : records[k].n_samples].unbind(1))
+            channels = {name: channel[k, : records[k].n_samples] for name, channel in u.items()}
+            # of a winding that lags it is the torque before
+            torque = motor.torque(p[key], drive.command(states, channels, p), states[drive.rotor + 1])
+            needed = joint.gear_ratio * torch.as_tensor(torque).to(x).square().mean().sqrt().reshape(1)
+            first, begun = {n: c[:1] for n, c in channels.items()}, [row[:1] for row in states]
+            begun[joint.positions[1]] = begun[joint.positions[0]] / joint.gear_ratio
+            still = torch.tensor([False])
+            up, down = (
+                _loaded_twist(system, joint, begun, first, sign * needed, still) for sign in (1.0, -1.0)
+            )
+            reach = 0.5 * (up - down).abs() * (1.0 if rows[0] == joint.positions[1] else joint.gear_ratio)
+            angle, speed = states[rows[0]], states[rows[0] + 1]
+            for row, size in zip(
+                rows, (reach, reach * speed.std() / angle.std().clamp_min(1e-12)), strict=False
+            ):
+                if x0_std[k, row] > 0:
+                    x0_std[k, row] += float(size)
 
 
 def _stopped(system: System, x: Sequence[Tensor]) -> list[Tensor]:

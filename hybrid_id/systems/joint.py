@@ -457,14 +457,17 @@ class Joint:
             for law in laws
         )
 
-    def hidden_side(self, outputs: Collection[str]) -> int | None:
-        """Row of the angle, the motor's or the link's, that outputs do not tell behind a gear that gives way."""
+    def hidden_rows(self, outputs: Collection[str]) -> list[int]:
+        """Rows of what outputs do not tell behind a gear that gives way: of its motor or its link, or of its twist."""
         if self.rigid:
-            return None
-        motor, link = self.positions
-        if f"q_a{self.number}" not in outputs:
-            return link
-        return None if {f"q_m{self.number}", f"v_m{self.number}"} & set(outputs) else motor
+            return []
+        for side, row in zip("am", reversed(self.positions), strict=True):
+            if not {f"q_{side}{self.number}", f"v_{side}{self.number}"} & set(outputs):
+                return [row, row + 1]
+        for side, row in zip("am", reversed(self.positions), strict=True):
+            if f"q_{side}{self.number}" not in outputs:  # its speed is measured
+                return [row]
+        return []
 
     def dry_level(
         self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]

@@ -10,6 +10,7 @@ from drives import flexible_drive, make_record, multisine, rigid_drive, stored
 
 from hybrid_id.components import MotorEncoder
 from hybrid_id.errors import InputError
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
 from hybrid_id.robots.description import load_tree
@@ -256,6 +257,40 @@ def test_a_gear_may_begin_as_far_wound_up_as_its_drive_winds_it(side: str) -> No
         twist = joint.gear_ratio * drive.square().mean().sqrt().item() / k
         motors.append(twist if side == "q_m1" else twist * joint.gear_ratio)
     assert spread == pytest.approx(motors, rel=1e-3)
+
+
+def test_what_a_fit_may_move_of_a_record_is_its_own() -> None:
+    long, short = (
+        make_record(flexible_drive(), multisine(1, samples=n), seed=1, noise=NOISE, name=f"r{n}").between(
+            0.5, end
+        )
+        for n, end in ((3000, 5.5), (800, 1.1))
+    )
+    both, alone = (make_batch(flexible_drive(), some, noise_std=NOISE) for some in ([long, short], [short]))
+    torch.testing.assert_close(both.x0_std[1], alone.x0_std[0])
+
+
+@pytest.mark.parametrize(
+    "outputs, rows",
+    [
+        (("q_m1",), [2, 3]),
+        (("q_a1",), [0, 1]),
+        (("v_a1",), [0, 1]),
+        (("q_a1", "v_m1"), [0]),
+        (("q_m1", "v_a1"), [2]),
+        (("q_m1", "q_a1"), []),
+    ],
+)
+def test_what_no_encoder_tells_is_hidden_and_held_in_windows(
+    outputs: tuple[str, ...], rows: list[int]
+) -> None:
+    system = flexible_drive()
+    assert system.joints[0].hidden_rows(outputs) == rows
+    one = make_record(system, multisine(1, samples=800), seed=1, noise=NOISE, outputs=outputs, name="r")
+    batch = make_batch(system, [one], noise_std=NOISE)
+    pieces = Horizon("windows", 0.5).cut(system, Engine(), batch)
+    assert (pieces.x0_std[:, rows] == 0.0).all()
+    assert (pieces.x0_std < 0.1 * batch.x[0].std(0)).all()  # nothing is free but for what a sensor leaves
 
 
 def test_offset_that_is_estimated_frees_the_start_angle() -> None:
