@@ -88,24 +88,30 @@ def test_each_record_settles_by_itself_in_any_process(dataset: Dataset) -> None:
 
 
 def test_each_set_is_judged_from_its_own_hidden_states(dataset: Dataset) -> None:
-    batch = make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE})
+    batch, engine = (
+        make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE}),
+        compiled_for(TRUTH, Engine()),
+    )
     sets = []
     for k, name in zip((15.0, 60.0), batch.names, strict=True):
         system, rows = TRUTH.with_values({"k": k}), batch.take(torch.tensor([batch.names.index(name)]))
-        part = PIECES.cut(system, Engine(), rows)
-        sets += fit(system, part, pooled=True, engine=Engine(), options=Options(max_iterations=0))
+        part = PIECES.cut(system, engine, rows)
+        sets += fit(system, part, pooled=True, engine=engine, options=Options(max_iterations=0))
     both = cross_validate(sets, batch, PIECES, pooled=False).fits
     for one, seen in zip(sets, both, strict=True):
         own = cross_validate([one], batch, PIECES, pooled=False).fits[0]
         np.testing.assert_allclose(seen, own, rtol=1e-9)
-    others = PIECES.cut(sets[0].system, Engine(), batch)
+    others = PIECES.cut(sets[0].system, engine, batch)
     assert np.abs(cross_validate(sets[1:], others, pooled=False).fits[0] - both[1]).max() > 1e-3
 
 
 def test_pieces_of_a_record_are_one_record_to_its_covariance(dataset: Dataset) -> None:
-    batch = make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE})
-    part = PIECES.cut(TRUTH, Engine(), batch)
-    (one,) = fit(TRUTH, part, pooled=True, engine=Engine(), options=Options(max_iterations=0))
+    batch, engine = (
+        make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE}),
+        compiled_for(TRUTH, Engine()),
+    )
+    part = PIECES.cut(TRUTH, engine, batch)
+    (one,) = fit(TRUTH, part, pooled=True, engine=engine, options=Options(max_iterations=0))
     jacobian, residual = one.of_records()
     assert len(one.residual) == part.rows > len(residual) == len(jacobian) == 2
     np.testing.assert_array_equal(np.concatenate(residual), np.concatenate(one.residual))
