@@ -6,7 +6,8 @@ parameters, and estimated by restricted maximum likelihood (R. DerSimonian, N. L
 the model; D. A. Harville, JASA 72, 1977, for the likelihood). Estimates enter by their information matrices, so that a
 record that does not identify a direction says nothing of it, and its robot takes it from the fleet.
 
-A parameter that its prior holds is taken as the same in all robots: the records alone do not identify it, and what they
+Priors pull all estimates towards one mean, and robots together that differ: what they pull is taken back first. A
+parameter that its prior holds is taken as the same in all robots: the records alone do not identify it, and what they
 say of the others is relative to it.
 """
 
@@ -90,6 +91,7 @@ def fleet(
     covariances: Sequence[np.ndarray],
     prior_precision: np.ndarray,
     misfit: np.ndarray,
+    prior_mean: np.ndarray | None = None,
 ) -> Fleet:
     """Mean, spread and odd robots from the estimates of each record of each robot.
 
@@ -103,6 +105,7 @@ def fleet(
         covariances: of those estimates, without what all share, the error of the priors ``(r, p, p)``.
         prior_precision: of each parameter, 0 where it has no prior (p,).
         misfit: error of fit of each robot (n,), in any unit.
+        prior_mean: of each parameter that has a prior (p,).
 
     Raises:
         InputError: fewer than three robots.
@@ -117,6 +120,9 @@ def fleet(
     shares = [prior_precision * np.diag(scaled_inverse(one + np.diag(prior_precision))[0]) for one in hessian]
     held = np.median(shares, axis=0) > HELD
     free = ~held
+    if prior_mean is not None:
+        theta, spread = _unpulled(theta, hessian, spread, free, prior_precision, prior_mean)
+        prior_precision = np.where(held, prior_precision, 0.0)
     typical, largest = np.median(np.abs(theta), axis=0), np.abs(theta).max(0)
     size = np.where(typical > 0.0, typical, np.where(largest > 0.0, largest, 1.0))
     information = [
@@ -130,7 +136,8 @@ def fleet(
     )
     odd_fit, relative = _odd_fits(np.asarray(misfit, float))
     variances, state, deviation, improbable, kept = _separated(levels, odd_fit)
-    own = np.array([np.mean(one, 0) for one in values])
+    ends = np.cumsum([len(one) for one in values])[:-1]
+    own = np.array([np.mean(one, 0) for one in np.split(theta, ends)])
     known = np.where(state.determined, 1.0, np.nan)
     reach = float(stdtrit(kept.sum() - 1, 0.975)) * state.mean_error * known
     between, within = (
@@ -164,6 +171,37 @@ def fleet(
         misfit=relative,
         held=held,
     )
+
+
+def _unpulled(
+    theta: np.ndarray,
+    hessian: np.ndarray,
+    covariance: np.ndarray,
+    free: np.ndarray,
+    precision: np.ndarray,
+    mean: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Estimates (R, p) without their priors' pull, and their covariances (R, p, p).
+
+    ``H (theta - theta_0) + P (theta - m) = 0`` gives theirs from the estimates with a prior, where H is not singular.
+
+    Args:
+        theta: estimates with priors.
+        hessian: H, without.
+        covariance: of theta.
+        free: parameters that no prior holds (p,); the others stay as they are.
+        precision: P (p,).
+        mean: m (p,).
+    """
+    at = np.ix_(free, free)
+    theta, covariance = theta.copy(), covariance.copy()
+    for k in range(len(theta) if precision[free].any() else 0):
+        pull = np.zeros_like(hessian[k])
+        pull[at] = scaled_inverse(hessian[k][at])[0] * precision[free]
+        theta[k] += pull @ (theta[k] - mean)
+        back = np.eye(len(pull)) + pull
+        covariance[k] = back @ covariance[k] @ back.T
+    return theta, covariance
 
 
 def _information(hessian: np.ndarray, covariance: np.ndarray, free: np.ndarray) -> np.ndarray:

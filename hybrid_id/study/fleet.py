@@ -181,6 +181,7 @@ def gather(system: System, robots: Sequence[RobotFit]) -> FleetStudy:
         ),
         prior_precision=np.array([0.0 if spec.prior_std is None else spec.prior_std**-2 for spec in specs]),
         misfit=np.array([robot.misfit for robot in fitted]),
+        prior_mean=np.array([0.0 if spec.prior_mean is None else spec.prior_mean for spec in specs]),
     )
     return FleetStudy(system, fitted, failed, found)
 

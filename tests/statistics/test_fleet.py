@@ -67,6 +67,28 @@ def test_spreads_between_robots_and_between_records_are_distinguished() -> None:
     assert np.isnan(Drawn(0, records=1).found().record_spread).all()
 
 
+def test_priors_pull_no_robots_together() -> None:
+    """Half as well known as by its records, a parameter's spread was a third too small."""
+    shrunk = []
+    for seed in range(4):
+        drawn = Drawn(seed, robots=60)
+        centre, precision = 1.2 * MEAN, 30.0 / (0.06 * MEAN) ** 2 * np.array([0.1, 0.0, 0.1, 0.0])
+        for hessians, values, covariances in zip(
+            drawn.hessians, drawn.values, drawn.covariances, strict=True
+        ):
+            for k, hessian in enumerate(hessians):
+                inverse = scaled_inverse(hessian + np.diag(precision))[0]
+                values[k] = inverse @ (hessian @ values[k] + precision * centre)
+                covariances[k] = inverse @ hessian @ inverse
+        given = drawn.values, drawn.hessians, drawn.covariances, precision, drawn.misfit
+        shrunk.append([fleet(*given, centre), fleet(*given)])
+    unpulled, pulled = (np.mean([one[k].spread for one in shrunk], 0)[[0, 2]] for k in (0, 1))
+    np.testing.assert_allclose(unpulled, SPREAD[[0, 2]], rtol=0.15)
+    assert (pulled < 0.8 * unpulled).all()
+    inside = [(one.mean_interval[:, 0] <= MEAN) & (one.mean_interval[:, 1] >= MEAN) for one, _ in shrunk]
+    assert np.mean(inside) >= 0.8
+
+
 def test_the_likelihoods_derivatives_are_its_differences() -> None:
     drawn = Drawn(3)
     levels = _Levels(
