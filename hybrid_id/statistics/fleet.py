@@ -136,8 +136,7 @@ def fleet(
     )
     odd_fit, relative = _odd_fits(np.asarray(misfit, float))
     variances, state, deviation, improbable, kept = _separated(levels, odd_fit)
-    ends = np.cumsum([len(one) for one in values])[:-1]
-    own = np.array([np.mean(one, 0) for one in np.split(theta, ends)])
+    own = np.array([np.mean(one, 0) for one in values])
     known = np.where(state.determined, 1.0, np.nan)
     reach = float(stdtrit(kept.sum() - 1, 0.975)) * state.mean_error * known
     between, within = (
