@@ -95,7 +95,7 @@ def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel
     except UNFITTED:
         return None
     # windows of a record err for the same reasons: records are the witnesses
-    seen = validation(fit.of_records()[1], rows.sample_time, list(dict.fromkeys(rows.names)))
+    seen = validation(fit.joined(fit.residual), rows.sample_time, list(dict.fromkeys(rows.names)))
     return FittedModel((), fit, seen, judged=False)
 
 

@@ -366,15 +366,11 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
             result = _nearest(fits.engine, task, batch, iterations, halting)
         if hidden and task.perturb and full:
             result = perturbed_restarts(result, batch, tries=TRIES)
-        if full:  # judged from hidden first states of its own values
-            batch = fits.batch(result.system)
         # what is taken as it stands has seen no validation record either
         judge = full or (iterations == 0 and bool(fits.dataset.validation))
         judge = judge and mean_square(result.residual) < task.judged_below
         found = (
-            _judged(fits, result, batch)
-            if judge
-            else validation(result.residual, batch.sample_time, batch.names)
+            _judged(fits, result) if judge else validation(result.residual, batch.sample_time, batch.names)
         )
     except FAILURES as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
@@ -386,25 +382,26 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
     return FittedModel(task.effects, result.condensed(), found, judge)  # a search keeps hundreds
 
 
-def _judged(fits: Fits, result: FitResult, batch: Batch) -> Validation:
+def _judged(fits: Fits, result: FitResult) -> Validation:
     """Errors of a fit on records that it has not seen, each record as it counts."""
-    found = validation(*_unseen(fits, result, batch))
+    found = validation(*_unseen(fits, result))
     return found if fits.weights is None else found.weighted(fits.weights)
 
 
-def _unseen(fits: Fits, result: FitResult, batch: Batch) -> tuple[list[np.ndarray], float, Sequence[str]]:
+def _unseen(fits: Fits, result: FitResult) -> tuple[list[np.ndarray], float, Sequence[str]]:
     """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn.
 
-    With the sample time and the record of each.
+    With the sample time and the record of each. All begin in hidden first states of the fit's own values.
 
     A free run that has lost its record errs at most by as much as any record moves: how far it strays from there says
     nothing of the model, and would drown all other records.
     """
     system, share = result.system, fits.signal_share
-    train = batch if fits.whole else fits.records(system)
+    train = fits.records(system)
     reach = train.motion().amax(0).clamp_min(1.0).numpy()
     if not fits.dataset.validation:
-        return bounded(predicted(result, batch), reach), batch.sample_time, batch.names
+        pieces = fits.horizon.cut(system, fits.engine, train)
+        return bounded(predicted(result, pieces), reach), pieces.sample_time, pieces.names
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
     seen, run = runs(system, result.engine, whole, fits.horizon)
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)

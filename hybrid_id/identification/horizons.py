@@ -357,7 +357,7 @@ def astray(fits: Sequence[FitResult], batch: Batch) -> float:
     """
     found = []
     for one in fits:
-        for record, residual in zip(dict.fromkeys(one.records), one.of_records()[1], strict=True):
+        for record, residual in zip(dict.fromkeys(one.records), one.joined(one.residual), strict=True):
             square = np.square(residual).mean(0)
             found.append(_relative(square, batch, batch.names.index(record)).mean())
     return float(np.mean(found))

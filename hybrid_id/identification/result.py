@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -110,14 +111,14 @@ class FitResult:
 
         Covariances take records as independent, which pieces of one are not: what a model lacks outlasts them.
         """
-        rows = [
-            [k for k, name in enumerate(self.records) if name == one] for one in dict.fromkeys(self.records)
-        ]
-        jacobian, residual = (
-            [np.concatenate([parts[k] for k in mine]) for mine in rows]
-            for parts in (self.jacobian, self.residual)
-        )
-        return jacobian, residual
+        return self.joined(self.jacobian), self.joined(self.residual)
+
+    def joined(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """What each row has, the rows that are pieces of one record one after the other: an array for each record."""
+        found = dict[str, list[np.ndarray]]()
+        for name, part in zip(self.records, parts, strict=True):
+            found.setdefault(name, []).append(part)
+        return [np.concatenate(pieces) for pieces in found.values()]
 
     def condensed(self) -> FitResult:
         """The same fit with a root of each row's sensitivities, ``(n_f, 1, n_f)``, whose products are the same.

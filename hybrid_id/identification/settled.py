@@ -77,11 +77,7 @@ def _until_it_stays(
         moved, one, part, first, least = _moved(one, again), again, there, began, errs
         if moved <= SETTLED * one.noise_scale or one.status == "interrupted":
             break
-    as_it_is = settings | {
-        "options": replace(options, max_iterations=0),
-        "warm": False,
-        "starts": 1,
-    }
+    as_it_is = settings | {"options": replace(options, max_iterations=0), "warm": False, "starts": 1}
     (end,) = fit(one.system, part, pooled=True, engine=one.engine, x0=first, **as_it_is)
     return replace(end, status=one.status, iterations=one.iterations, history=one.history)
 

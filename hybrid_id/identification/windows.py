@@ -67,11 +67,6 @@ def measured_spread(system: System, batch: Batch) -> Tensor:
     return x0_std
 
 
-def link_seen(batch: Batch, joint: int) -> bool:
-    """Whether an encoder sees the link of a joint, numbered from 1."""
-    return bool({f"q_a{joint}", f"v_a{joint}"} & set(batch.outputs))
-
-
 def hidden_links(system: System, batch: Batch) -> bool:
     """Whether no encoder sees a link that its gear leaves loose near zero load.
 
@@ -79,6 +74,6 @@ def hidden_links(system: System, batch: Batch) -> bool:
     """
     return any(
         type(joint.gear.transmission[1]).loaded is not Transmission.loaded
-        and not link_seen(batch, joint.number)
+        and joint.positions[1] + 1 in joint.hidden_rows(batch.outputs)  # not its speed either
         for joint in system.joints
     )

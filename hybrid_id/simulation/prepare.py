@@ -259,30 +259,37 @@ def _free_in_motion(
 
     Nobody knows how the spring swings there; a gear that may begin anywhere explains whatever a short record lacks.
     """
-    moving = [k for k, record in enumerate(records) if rest_samples(record) < RESTING]
-    p = system.views(list(system.theta()[:, None]))
-    for joint in system.joints:
-        rows = joint.hidden_rows(records[0].outputs)
-        (key, motor), drive = joint.drive.motor, joint.drive
-        for k in moving if rows else []:
-            states = list(x[k, : records[k].n_samples].unbind(1))
-            channels = {name: channel[k, : records[k].n_samples] for name, channel in u.items()}
-            # of a winding that lags it is the torque before
-            torque = motor.torque(p[key], drive.command(states, channels, p), states[drive.rotor + 1])
-            needed = joint.gear_ratio * torch.as_tensor(torque).to(x).square().mean().sqrt().reshape(1)
-            first, begun = {n: c[:1] for n, c in channels.items()}, [row[:1] for row in states]
-            begun[joint.positions[1]] = begun[joint.positions[0]] / joint.gear_ratio
-            still = torch.tensor([False])
-            up, down = (
-                _loaded_twist(system, joint, begun, first, sign * needed, still) for sign in (1.0, -1.0)
-            )
-            reach = 0.5 * (up - down).abs() * (1.0 if rows[0] == joint.positions[1] else joint.gear_ratio)
-            angle, speed = states[rows[0]], states[rows[0] + 1]
-            for row, size in zip(
-                rows, (reach, reach * speed.std() / angle.std().clamp_min(1e-12)), strict=False
-            ):
-                if x0_std[k, row] > 0:
-                    x0_std[k, row] += float(size)
+    hidden = [(joint, rows) for joint in system.joints if (rows := joint.hidden_rows(records[0].outputs))]
+    moving = [k for k, record in enumerate(records) if rest_samples(record) < RESTING] if hidden else []
+    for k in moving:
+        own = list(x[k, : records[k].n_samples].unbind(1))
+        channels = {name: channel[k, : records[k].n_samples] for name, channel in u.items()}
+        for joint, rows in hidden:
+            reach = _wound_by_motor(system, joint, own, channels)
+            reach *= 1.0 if rows[0] == joint.positions[1] else joint.gear_ratio
+            angle, speed = own[rows[0]].std(), own[rows[0] + 1].std()
+            spread = [reach, reach * speed / angle.clamp_min(1e-12)][: len(rows)]
+            x0_std[k, rows] += torch.stack(spread) * (x0_std[k, rows] > 0)
+
+
+def _wound_by_motor(system: System, joint: Joint, x: Sequence[Tensor], u: Channels) -> Tensor:
+    """Twist at the link [rad] of a joint that begins in motion under the RMS of its motor's torque over a record.
+
+    Args:
+        system: of the joint.
+        joint: with a compliant gear.
+        x: guess of the record's states, ``(T,)`` each.
+        u: its channels, ``(T,)`` each.
+    """
+    (key, motor), drive, p = joint.drive.motor, joint.drive, system.views(list(system.theta()[:, None]))
+    # of a winding that lags it is the torque before
+    torque = motor.torque(p[key], drive.command(x, u, p), x[drive.rotor + 1])
+    needed = joint.gear_ratio * torch.as_tensor(torque).to(x[0]).square().mean().sqrt().reshape(1)
+    first, begun = {name: channel[:1] for name, channel in u.items()}, [row[:1] for row in x]
+    begun[joint.positions[1]] = begun[joint.positions[0]] / joint.gear_ratio
+    still = torch.tensor([False])
+    ends = [_loaded_twist(system, joint, begun, first, sign * needed, still) for sign in (1.0, -1.0)]
+    return 0.5 * (ends[0] - ends[1]).abs().squeeze()
 
 
 def _stopped(system: System, x: Sequence[Tensor]) -> list[Tensor]:

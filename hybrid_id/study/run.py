@@ -150,11 +150,11 @@ def fit_sets(
 
     def fitted(horizon: Horizon) -> list[FitResult]:
         part = horizon.cut(model, engine, batch)
-        if not pooled:
-            sets = fit_records(model, part, starts=starts, kept=kept, engine=engine, **settings)
-        else:
+        if pooled:
             (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, engine=engine, **settings)
             sets = [confirmed(found, part, kept=kept, **settings)]
+        else:
+            sets = fit_records(model, part, starts=starts, kept=kept, engine=engine, **settings)
         return settled(sets, horizon, batch, engine=engine, kept=kept, **settings)
 
     sets = fitted(horizon or WHOLE)
