@@ -62,17 +62,39 @@ FITTED = 8
 Kinds = Mapping[str, Sequence[ColumnWords]]
 
 
-def choose_channels(
-    title: str, columns: Sequence[ColumnWords], joint: JointFacts | None, number: int, evidence: Evidence
-) -> None:
-    """Choose the channels of one joint; where a pair is missing, its columns are left out and it is said.
+@dataclass(frozen=True)
+class Pair:
+    """A joint that the logs drive and show: its command beside its angle, its speed or both.
+
+    Attributes:
+        title: what messages call it; empty where neither robot nor columns name it.
+        joint: of the robot; None without one.
+        columns: that may be its own, but for those that stand still.
+        kinds: the columns by what they are.
+        command: kind of its command.
+        angle: its angle, if there is one.
+        speed: its speed, if there is one.
+    """
+
+    title: str
+    joint: JointFacts | None
+    columns: Sequence[ColumnWords]
+    kinds: Kinds
+    command: str
+    angle: ColumnWords | None
+    speed: ColumnWords | None
+
+
+def find_pair(
+    title: str, columns: Sequence[ColumnWords], joint: JointFacts | None, evidence: Evidence
+) -> Pair | None:
+    """The command of a joint and its angle or speed; where one is missing, its columns are left out and it is said.
 
     Args:
-        title: what messages call it; empty where neither robot nor columns name it.
+        title: what messages call the joint; empty where neither robot nor columns name it.
         columns: that may be its own.
         joint: of the robot; None without one.
-        number: of its channels.
-        evidence: takes channels, guesses and questions.
+        evidence: takes what is left out, and questions.
     """
     rests = joint is not None and _rests(columns, evidence)
     columns = [one for one in columns if not _still(one, evidence)]
@@ -85,7 +107,7 @@ def choose_channels(
         for one in columns:
             at = f" ({one.name} is about {evidence.mean(one.name):.3g})" if one is angle else ""
             evidence.leave(one.name, f"of {title}, which is held{at}: its goal stands still in all logs")
-        return
+        return None
     if command is None or not (angle or speed):
         missing = "no input" if command is None else "no angle and no speed"
         for one in columns:
@@ -94,19 +116,32 @@ def choose_channels(
             evidence.ask(
                 f"Joint '{title}' has {missing} in the logs, and is left out. Is there one under another name?"
             )
-        return
-    work = _Joint(evidence, joint, kinds, DriveFacts(title or "the drive", number, command))
-    work.choose(angle, speed)
+        return None
+    return Pair(title, joint, columns, kinds, command, angle, speed)
+
+
+def choose_channels(pair: Pair, number: int, evidence: Evidence) -> None:
+    """Choose the channels of one joint.
+
+    Args:
+        pair: its command, and its angle or speed.
+        number: of its channels, among the joints that have a pair.
+        evidence: takes channels, guesses and questions.
+    """
+    drive = DriveFacts(pair.title or "the drive", number, pair.command)
+    work = _Joint(evidence, pair.joint, pair.kinds, drive)
+    work.choose(pair.angle, pair.speed)
     taken = {one.column for one in (*work.inputs, *work.outputs)}
-    for one in columns:
+    for one in pair.columns:
         if one.name not in taken:
-            kind, some = next(((kind, some) for kind, some in kinds.items() if one in some), ("a column", ()))
+            named = ((kind, some) for kind, some in pair.kinds.items() if one in some)
+            kind, some = next(named, ("a column", ()))
             second = any(other.name in taken for other in some)
-            reason = f"a second {kind}" if second else f"nothing that a drive with a {command} takes as it is"
-            evidence.leave(one.name, f"{kind} of {work.drive.joint}: {reason}")
+            reason = f"a second {kind}" if second else f"nothing that a drive with a {pair.command} takes as it is"
+            evidence.leave(one.name, f"{kind} of {drive.joint}: {reason}")
     evidence.proposal.inputs += work.inputs
     evidence.proposal.outputs += work.outputs
-    evidence.proposal.drives.append(work.drive)
+    evidence.proposal.drives.append(drive)
 
 
 def _rests(columns: Sequence[ColumnWords], evidence: Evidence) -> bool:

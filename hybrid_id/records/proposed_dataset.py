@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.column_words import ColumnWords, read_name, tokens
-from hybrid_id.records.joint_channels import choose_channels
+from hybrid_id.records.joint_channels import Pair, choose_channels, find_pair
 from hybrid_id.records.logs import Log
 from hybrid_id.records.proposal import TIME_FACTORS, Guess, JointFacts, is_time, sampling, time_unit
 from hybrid_id.records.proposal_parts import Chosen, Evidence, MotorSheet, Proposal, Question
@@ -48,11 +48,17 @@ def propose(
     clock = {id(log): time.factor * log.columns[time.column] for log in logs}
     evidence = Evidence(logs, clock, words, sheet, proposal)
     groups = _groups(words, time.column, evidence)
-    for key, joint, number in _place(groups, joints, proposal):
-        choose_channels(joint.name if joint else key, groups[key], joint, number, evidence)
-    if not proposal.drives:
+    placed = _place(groups, joints, proposal)
+    found = [find_pair(joint.name if joint else key, groups[key], joint, evidence) for key, joint in placed]
+    pairs = [pair for pair in found if pair is not None]
+    if not pairs:
         raise InputError(_no_pair(logs[0], proposal))
-    _one_numbering(proposal, joints)
+    if not joints:
+        pairs = [_first_alone(pairs, evidence)]
+    for number, pair in enumerate(pairs, 1):
+        choose_channels(pair, number, evidence)
+    logged = {drive.joint for drive in proposal.drives}
+    proposal.held = [joint.name for joint in joints if joint.name not in logged]
     used = {one.column for one in (time, *proposal.inputs, *proposal.outputs)} | {n for n, _ in proposal.left}
     rows = "numbers the rows, or a second clock"
     proposal.left += [
@@ -60,9 +66,9 @@ def propose(
         for name, one in words.items()
         if name not in used
     ]
-    found = sampling([clock[id(log)] for log in logs])
-    proposal.resample = found.value == "resample"
-    proposal.guesses.append(found)
+    evenly = sampling([clock[id(log)] for log in logs])
+    proposal.resample = evenly.value == "resample"
+    proposal.guesses.append(evenly)
     _parts(evidence)
     _roles(proposal)
     if any(guess.about == "unit of time" and not guess.sure for guess in time.guesses):
@@ -228,13 +234,13 @@ def _is_output(one: ColumnWords) -> bool:
 
 def _place(
     groups: Mapping[str, Sequence[ColumnWords]], joints: Sequence[JointFacts], proposal: Proposal
-) -> list[tuple[str, JointFacts | None, int]]:
-    """Key of the columns, the robot's joint and its number, of each joint that is logged."""
+) -> list[tuple[str, JointFacts | None]]:
+    """Key of the columns and the robot's joint, of each joint that is logged, in the robot's order."""
     keys = list(groups)
     if not joints:
         if all(re.search(r"\d+$", key) for key in keys):
             keys.sort(key=lambda key: int(re.findall(r"\d+$", key)[0]))
-        return [(key, None, number) for number, key in enumerate(keys, 1)]
+        return [(key, None) for key in keys]
     by_name = {joint.name: joint for joint in joints}
     numbers = [int(found[0]) for key in keys if (found := re.findall(r"\d+$", key))]
     first, found = min(numbers, default=1), []
@@ -260,34 +266,21 @@ def _place(
         proposal.guesses.append(Guess("joint", joint.name, words, sure))
         if not sure:
             proposal.questions.append(Question(f"Are the columns of '{key}' those of joint {joint.name}?"))
-    order = [joint for joint in joints if joint in [one for _, one in found]]
-    return sorted(((key, joint, order.index(joint) + 1) for key, joint in found), key=lambda item: item[2])
+    return sorted(found, key=lambda one: joints.index(one[1]))
 
 
-def _one_numbering(proposal: Proposal, joints: Sequence[JointFacts]) -> None:
-    """Number the joints that have a pair in the robot's order; without a robot, keep the first alone."""
-    order = sorted({drive.number for drive in proposal.drives})
-    if not joints and len(order) > 1:
-        others = [drive.joint for drive in proposal.drives if drive.number != order[0]]
-        proposal.questions.append(
-            Question(
-                f"The logs hold {len(order)} joints, and no robot is given: the model is of "
-                f"'{proposal.drives[0].joint}' alone, the others ({', '.join(others)}) are left out. "
-                "Give --robot with the MJCF or URDF for all; "
-                "one joint alone is right only if the others stood still."
-            )
+def _first_alone(pairs: Sequence[Pair], evidence: Evidence) -> Pair:
+    """The first of the joints, which alone is modelled where no robot says how they hang together; the others are said."""
+    first, *others = pairs
+    if others:
+        evidence.ask(
+            f"The logs hold {len(pairs)} joints, and no robot is given: the model is of '{first.title}' alone, the "
+            f"others ({', '.join(one.title for one in others)}) are left out. Give --robot with the MJCF or URDF for "
+            "all; one joint alone is right only if the others stood still."
         )
-        for group in (proposal.inputs, proposal.outputs):
-            gone = [one for one in group if not re.fullmatch(rf"\D+{order[0]}", one.name)]
-            proposal.left += [(one.column, f"{one.name}, of a joint that is left out") for one in gone]
-            group[:] = [one for one in group if one not in gone]
-        proposal.drives[:] = [drive for drive in proposal.drives if drive.number == order[0]]
-        order = order[:1]
-    new = {old: k for k, old in enumerate(order, 1)}
-    for one in (*proposal.inputs, *proposal.outputs):
-        stem, digits = re.fullmatch(r"(\D+)(\d+)", one.name).groups()  # type: ignore[union-attr]
-        one.name = f"{stem}{new[int(digits)]}"
-    for drive in proposal.drives:
-        drive.number = new[drive.number]
-    logged = {drive.joint for drive in proposal.drives}
-    proposal.held = [joint.name for joint in joints if joint.name not in logged]
+    own = {one.name for one in first.columns}
+    for pair in others:
+        for one in pair.columns:
+            if one.name not in own:
+                evidence.leave(one.name, f"of {pair.title}, a joint that is left out")
+    return first
