@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import stamp
+from hybrid_id.records.resample import refuse_turns
 
 
 def bring_to(
@@ -37,7 +38,8 @@ def bring_to(
         Which of the common stamps have a value of every channel, and the values there.
 
     Raises:
-        InputError: where the stamps of a channel go back, share no time with the others, or leave a gap.
+        InputError: where the stamps of a channel go back, share no time with the others, or leave a gap, and where an
+            angle that is interpolated jumps by a turn.
     """
     low, high = -np.inf, np.inf
     for name, own in times.items():
@@ -73,5 +75,6 @@ def bring_to(
                 f"{1e3 * steps[gaps[0]]:.3g} ms ({count}); cut the record there with 'between', or raise "
                 "'resample: {max_gap: N}'"
             )
+        refuse_turns(name, own, signals[name], source)
         found[name] = np.interp(time[kept], own, signals[name])
     return kept, found

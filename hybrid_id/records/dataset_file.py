@@ -24,6 +24,8 @@ FILE_NAME = "dataset.yaml"
 FOLLOW = "copy the file there, or set 'follow_links: true' in dataset.yaml if the link is yours"
 SAVED = ("name", "unit", "noise_std")
 """What a file holds of a channel whose values are in SI."""
+AROUND = 0.1
+"""Share of the part of a file that is kept by which it is read beyond, where channels are brought to one another."""
 _BAM_INPUTS = {"goal1": "rad", "gain1": "1", "duty1": "1", "supply1": "V", "enable1": "1"}
 _BAM_OUTPUTS = {"q_m1": "rad", "v_m1": "rad/s"}
 
@@ -295,6 +297,8 @@ def _read(
     if entry.between and factor > 0 and not turns:
         low, high = (stamp / factor + time.zero for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
+        if skew := max(abs(channel.skew) for channel in (*spec.inputs, *spec.outputs)):
+            slack += skew / factor + AROUND * (high - low)  # channels recorded late or early have values there
         table = load_any(
             path,
             wanted,

@@ -28,8 +28,8 @@ def fourier(dataset: Dataset, band: tuple[float, float] | None = None, *, speeds
     """
     angles = [channel for channel in dataset.outputs if channel.name.startswith("q_")]
     known = {channel.name for channel in dataset.outputs}
-    found = [f"v{channel.name[1:]}" for channel in angles] if speeds else []
-    added = tuple(Channel(name, "rad/s") for name in found if name not in known)
+    found = [Channel(f"v{channel.name[1:]}", f"{channel.unit}/s") for channel in angles] if speeds else []
+    added = tuple(channel for channel in found if channel.name not in known)
     new = {channel.name for channel in added}
     records = tuple(
         _filtered(record, [channel.name for channel in angles], band, new) for record in dataset.records

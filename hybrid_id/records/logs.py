@@ -136,7 +136,7 @@ def read_log(file: LogFile) -> Log:
             continue
         values = table.columns[name]
         if name in table.times and time is not None:
-            values = np.interp(time, table.times[name], values)
+            values = _between(time, table.times[name], values)
         if values.size != length:
             left[name] = f"has {values.size} values where most columns have {length}"
         elif not np.isfinite(values).all():
@@ -148,6 +148,18 @@ def read_log(file: LogFile) -> Log:
     if len(columns) < 2 or length < 20:
         raise InputError(f"{file.path} holds no table of at least 20 rows and 2 columns of numbers")
     return Log(file, columns, clock, left)
+
+
+def _between(time: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A column at other stamps, (T,): interpolated, but for steps over half of its range, where the nearest one counts.
+
+    An angle that begins anew after a turn has no value between, and a command that is switched has none.
+    """
+    straight = np.interp(time, own, values)
+    after = np.clip(np.searchsorted(own, time), 1, own.size - 1)
+    jumps = np.abs(values[after] - values[after - 1]) > 0.5 * np.ptp(values)
+    nearest = np.where(time - own[after - 1] < own[after] - time, values[after - 1], values[after])
+    return np.where(jumps, nearest, straight)
 
 
 def _is_angle(name: str) -> bool:

@@ -19,7 +19,7 @@ from hybrid_id.records.measures import (
     stretches,
 )
 from hybrid_id.records.record import Record, stamp
-from hybrid_id.records.resample import find_gaps
+from hybrid_id.records.resample import find_gaps, turns_back
 from hybrid_id.records.skew import find_skews
 from hybrid_id.records.units import number_of, stem
 
@@ -207,14 +207,13 @@ def _glitches(
 
     A joint that stops at its goal, which rests or turns there, has arrived.
     """
-    jumps = np.diff(values)
-    wrapped = np.abs(np.abs(jumps) - 2 * np.pi) < 1.0
-    if position and wrapped.any() and np.quantile(np.abs(jumps), 0.98) < 1.0:
-        at = record.time[np.argmax(wrapped) + 1]
-        words = (
-            f"it jumps by a turn {wrapped.sum()} times, first at {stamp(at)} s; set 'unwrap' for its column"
+    if position and (turns := turns_back(values)).size:
+        at = stamp(record.time[turns[0]])
+        yield (
+            "warning",
+            "wrapped",
+            f"it jumps by a turn {turns.size} times, first at {at} s; set 'unwrap' for its column",
         )
-        yield "warning", "wrapped", words
     if values.size > 4:
         near = np.sort(np.lib.stride_tricks.sliding_window_view(values, 5), axis=1)
         away = np.abs(values[2:-2] - near[:, 2])

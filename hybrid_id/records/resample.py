@@ -82,6 +82,30 @@ def find_gaps(record: Record, max_gap: float = MAX_GAP) -> tuple[tuple[float, fl
     )
 
 
+def turns_back(values: np.ndarray) -> np.ndarray:
+    """Samples at which an angle [rad] of a sensor of one turn begins anew, (N,); (T,) -> empty where it never does."""
+    jumps = np.abs(np.diff(values))
+    if jumps.size == 0 or np.quantile(jumps, 0.98) >= 1.0:
+        return np.empty(0, int)
+    return np.flatnonzero(np.abs(jumps - 2 * np.pi) < 1.0) + 1
+
+
+def refuse_turns(name: str, time: np.ndarray, values: np.ndarray, source: str) -> None:
+    """Raise InputError for an angle that is to be read off between samples, and jumps by a turn between two.
+
+    Args:
+        name: The output.
+        time: Its stamps [s], (T,).
+        values: Its values in SI, (T,).
+        source: The record or file, to begin the message with.
+    """
+    if stem(name).startswith("q") and (found := turns_back(values)).size:
+        raise InputError(
+            f"{source}: '{name}' jumps by a turn, first at {stamp(float(time[found[0]]))} s, and has no value between "
+            "the samples there; set 'unwrap' for its column"
+        )
+
+
 def resample_record(
     record: Record,
     sample_time: float | None = None,
@@ -98,8 +122,8 @@ def resample_record(
         max_gap: Longest step that is bridged, in median steps.
 
     Raises:
-        InputError: when a step is longer than `max_gap` median steps, or the new grid has under 2 samples or far more
-            than the record.
+        InputError: when a step is longer than `max_gap` median steps, the new grid has under 2 samples or far more
+            than the record, or an angle jumps by a turn.
     """
     step = record.sample_time if sample_time is None else sample_time
     # The tolerance keeps a last stamp that misses its grid point by rounding or slight jitter.
@@ -142,6 +166,8 @@ def _on_grid(record: Record, grid: np.ndarray, step: float, method: str) -> Reco
     from scipy.interpolate import Akima1DInterpolator  # slow to import, and most datasets are uniform
 
     instants = np.minimum(grid, record.time[-1])
+    for name, values in record.outputs.items():
+        refuse_turns(name, record.time, values, record.title)
     outputs = {
         name: Akima1DInterpolator(record.time, values, method="makima")(instants)
         for name, values in record.outputs.items()
@@ -177,7 +203,7 @@ def shift_channels(record: Record, late: Mapping[str, float]) -> Record:
         late: Channel -> how late it is recorded [s]; negative where it is early.
 
     Raises:
-        InputError: a skew is longer than the record.
+        InputError: a skew is longer than the record, or an angle that is recorded late jumps by a turn.
     """
     from scipy.interpolate import Akima1DInterpolator
 
@@ -201,6 +227,7 @@ def shift_channels(record: Record, late: Mapping[str, float]) -> Record:
             return values[kept]
         instants = np.clip(time + late[name], record.time[0], record.time[-1])
         if name in record.outputs:
+            refuse_turns(name, record.time, values, record.title)
             return Akima1DInterpolator(record.time, values, method="makima")(instants)
         mean = _mean_of_held(record.time, values, time + late[name], record.sample_time)
         return np.round(mean) if stem(name) == "enable" else mean

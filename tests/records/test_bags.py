@@ -11,6 +11,7 @@ from record_formats import ANGLE, JOINTS, NANOSECONDS, TIME, VOLTS, write_yaml
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.logs import find_logs, read_log
 from hybrid_id.records.readers import bag, load_any
 from hybrid_id.records.readers.bag import CONTROLLER, JOINT_STATE, _typestore
 
@@ -302,6 +303,21 @@ def test_gaps_of_an_interpolated_topic_are_refused(tmp_path: Path) -> None:
         Dataset.load(write_yaml(tmp_path, "run", COLUMNS | {"t": "/commands"}))
     folder = write_yaml(tmp_path, "run", COLUMNS | {"t": "/commands"}, between=[0.1, 1.9])
     assert Dataset.load(folder).records[0].duration > 1.7
+
+
+def test_an_interpolated_angle_that_jumps_by_a_turn_is_refused_and_seen_by_its_jumps(tmp_path: Path) -> None:
+    turning = np.mod(8.0 * TIME / TIME[-1] + np.pi, 2 * np.pi) - np.pi
+    messages = [*uniform()]
+    for k, stamp in enumerate(NANOSECONDS):
+        own = stamp + 7_000_000
+        messages.append(("/link", own, joint_state(own, {"link": turning[k]}, velocity=False)))
+    path = write_bag(tmp_path / "run", sorted(messages, key=lambda one: one[1]))
+    columns = COLUMNS | {"q_m1": "/link/position/link"}
+    with pytest.raises(InputError, match=r"run: 'q_m1' jumps by a turn, first at .* s"):
+        Dataset.load(write_yaml(tmp_path, "run", columns))
+    log = read_log(find_logs([path])[0])
+    steps = np.abs(np.diff(log.columns["/link/position/link"]))
+    assert ((steps > 0.8 * 2 * np.pi) | (steps < 1.0)).all() and (steps > 6.0).any()
 
 
 def test_the_library_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,6 +42,12 @@ def test_noise_outside_the_band_is_dropped_and_speeds_are_found(
     assert np.std(record.outputs["v_m1"] - speed[rows]) < 0.02
 
 
+def test_speeds_of_a_slide_are_in_metres(rng: np.random.Generator) -> None:
+    data, _, _ = dataset(4.0, rng)
+    slide = replace(data, outputs=(Channel("q_m1", "m"),))
+    assert fourier(slide, speeds=True).outputs[1].unit == "m/s"
+
+
 def test_measured_speeds_stay_and_without_speeds_nothing_is_added(rng: np.random.Generator) -> None:
     data, _, speed = dataset(4.0, rng)
     assert [c.name for c in fourier(data).outputs] == ["q_m1"]

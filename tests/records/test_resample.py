@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -5,7 +7,7 @@ from hypothesis import strategies as st
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
-from hybrid_id.records.resample import find_gaps, resample_record
+from hybrid_id.records.resample import find_gaps, resample_record, shift_channels, turns_back
 
 
 def jittered(rng: np.random.Generator, n: int = 400, step: float = 0.01, jitter: float = 0.2) -> Record:
@@ -37,6 +39,21 @@ def test_outputs_follow_the_signal_and_inputs_keep_their_impulse(rng) -> None:
     assert report.n_in == 400
     assert 0.05 < report.jitter < 0.25
     assert report.lost["q_m1"] < 1e-3
+
+
+def test_an_angle_that_jumps_by_a_turn_is_read_off_between_no_samples() -> None:
+    time = 0.004 * np.arange(300)
+    angle = np.mod(9.0 * time + np.pi, 2 * np.pi) - np.pi
+    record = Record("a", time, {"u1": np.cos(time)}, {"q_m1": angle, "v_m1": 9.0 + 0.1 * np.cos(time)})
+    words = r"'q_m1' jumps by a turn, first at 0\.352 s.*set 'unwrap'"
+    with pytest.raises(InputError, match=words):
+        resample_record(record, 0.005)
+    with pytest.raises(InputError, match=words):
+        shift_channels(record, {"q_m1": 0.0015})
+    assert shift_channels(record, {"v_m1": 0.0015}).n_samples == 299
+    smooth = replace(record, outputs={"q_m1": np.unwrap(angle)})
+    assert not turns_back(resample_record(smooth, 0.005)[0].outputs["q_m1"]).size
+    assert turns_back(angle).size == 2 and not turns_back(angle[:1]).size
 
 
 def test_average_of_a_held_input_by_hand() -> None:

@@ -105,6 +105,30 @@ def test_a_window_of_a_file_without_rows(rng: np.random.Generator, tmp_path: Pat
         Dataset.load(described(tmp_path, f"long.{ending}"))
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_part_of_channels_recorded_late_is_that_of_the_whole(
+    rng: np.random.Generator, tmp_path: Path, ending: str
+) -> None:
+    WRITERS[ending](table(rng), tmp_path / f"long.{ending}")
+    home = described(tmp_path, f"long.{ending}")
+    spec = read_yaml(home / "dataset.yaml")
+    spec["outputs"][0]["skew"] = 0.003
+    write_yaml(home / "dataset.yaml", spec)
+    data = Dataset.load(home)
+    for k, part in enumerate(PARTS):
+        same, found = data["whole"].between(*part), data[f"part_{k}"]
+        np.testing.assert_array_equal(found.time, same.time)
+        np.testing.assert_allclose(found.outputs["q_m1"], same.outputs["q_m1"], atol=1e-12)
+
+
+def test_a_missing_stamp_inside_a_window_is_told(rng: np.random.Generator, tmp_path: Path) -> None:
+    frame = table(rng)
+    frame.loc[100, "t"] = np.nan
+    frame.to_parquet(tmp_path / "long.parquet")
+    with pytest.raises(InputError, match=r"row 101\b.*nan"):
+        Dataset.load(described(tmp_path, "long.parquet", parts=PARTS[:1]))
+
+
 def test_a_window_beside_the_record_says_what_the_record_has(
     rng: np.random.Generator, tmp_path: Path
 ) -> None:
