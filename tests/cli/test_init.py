@@ -558,3 +558,23 @@ def test_a_bag_of_joint_states_and_a_command(run, tmp_path: Path, motions) -> No
     assert {name: entry["column"] for name, entry in data["columns"].items()} == {
         "t": "/joint_states", "u1": "/voltage/command/data/0", "q_m1": "/joint_states/position/elbow",
     }  # fmt: skip
+
+
+def test_a_ratio_is_that_of_the_joint_which_moves(run, tmp_path: Path) -> None:
+    """A joint without a command has no number: the one ratio is the elbow's, whose encoder is at its joint."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))
+    (tmp_path / "sheet.yaml").write_text("gear_ratio: [20]\n")
+    folder, rng = tmp_path / "logs", np.random.default_rng(0)
+    folder.mkdir()
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        shoulder = 1e-3 * rng.standard_normal(t.size)
+        table = np.column_stack([t, shoulder, angle[:, 1], goal[:, 1] - angle[:, 1]])
+        names = "time,shoulder_pan.pos_rad,elbow_flex.pos_rad,elbow_flex.torque_cmd"
+        np.savetxt(folder / f"run{seed}.csv", table, header=names, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml", "--motor", tmp_path / "sheet.yaml")
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert data["outputs"] == [{"name": "q_a1", "unit": "rad"}] and model["gear_ratio"] == [20.0]
+    assert "q_a1" in done.out and "q_m2" not in done.out
