@@ -137,7 +137,9 @@ def choose_channels(pair: Pair, number: int, evidence: Evidence) -> None:
             named = ((kind, some) for kind, some in pair.kinds.items() if one in some)
             kind, some = next(named, ("a column", ()))
             second = any(other.name in taken for other in some)
-            reason = f"a second {kind}" if second else f"nothing that a drive with a {pair.command} takes as it is"
+            reason = (
+                f"a second {kind}" if second else f"nothing that a drive with a {pair.command} takes as it is"
+            )
             evidence.leave(one.name, f"{kind} of {drive.joint}: {reason}")
     evidence.proposal.inputs += work.inputs
     evidence.proposal.outputs += work.outputs
@@ -476,10 +478,16 @@ class _Joint:
             self._duty(chosen, column)
         if command == "goal" and self.kinds.get("gain") and self.kinds.get("supply"):
             self.drive.command = "position_loop"
-            for kind, unit in (("gain", "1"), ("supply", "V")):
-                other = self.kinds[kind][0]
-                name = f"{kind}{number}"
-                self.inputs.append(Chosen(name, other.name, unit, guesses=[_why(name, other, kind)]))
+            gain, name = self.kinds["gain"][0], f"gain{number}"
+            self.inputs.append(Chosen(name, gain.name, "1", guesses=[_why(name, gain, "gain")]))
+            self._supply()
+
+    def _supply(self) -> None:
+        """The logged supply voltage."""
+        column, name = self.kinds["supply"][0], f"supply{self.drive.number}"
+        chosen = Chosen(name, column.name, "", guesses=[_why(name, column, "supply")])
+        self._simple(chosen, column, *self._volts_or_amps(column, "V"))
+        self.inputs.append(chosen)
 
     def _volts_or_amps(self, column: ColumnWords, unit: str) -> tuple[str, float]:
         """Unit of a voltage or a current, and its factor: thousandths by the name, or by values beyond any drive's."""
@@ -549,14 +557,11 @@ class _Joint:
             self.evidence.ask(
                 f"Which value of '{column.name}' is full duty? {top:g} is assumed, for it goes up to {far:.4g}."
             )
-        if supply := self.kinds.get("supply"):
+        if self.kinds.get("supply"):
             chosen.unit, chosen.scale = ("%", 1.0) if top == 100.0 else ("1", 1.0 / top)
             chosen.factor = 1.0 / top
             chosen.guesses.append(Guess(about, chosen.unit, words, said))
-            unit, factor = self._volts_or_amps(supply[0], "V")
-            name = f"supply{number}"
-            guesses = [_why(name, supply[0], "supply")]
-            self.inputs.append(Chosen(name, supply[0].name, unit, factor=factor, guesses=guesses))
+            self._supply()
             return
         given = self.evidence.sheet.voltage
         volts = given or SUPPLY

@@ -50,12 +50,14 @@ class Log:
         columns: name -> values, all of one length.
         clock: name of the topic of a bag whose stamps are the clock; empty elsewhere.
         left: columns that could not be taken -> why.
+        times: columns of other topics of a bag -> their own stamps [s].
     """
 
     file: LogFile
     columns: Mapping[str, np.ndarray]
     clock: str = ""
     left: Mapping[str, str] = field(default_factory=dict)
+    times: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def find_logs(paths: Sequence[Path]) -> list[LogFile]:
@@ -135,6 +137,9 @@ def read_log(file: LogFile) -> Log:
         if name in left:
             continue
         values = table.columns[name]
+        if name in table.times and table.times[name].size < 2:
+            left[name] = "has a single value"
+            continue
         if name in table.times and time is not None:
             values = _between(time, table.times[name], values)
         if values.size != length:
@@ -147,7 +152,9 @@ def read_log(file: LogFile) -> Log:
         columns = {clock: time, **columns}
     if len(columns) < 2 or length < 20:
         raise InputError(f"{file.path} holds no table of at least 20 rows and 2 columns of numbers")
-    return Log(file, columns, clock, left)
+    return Log(
+        file, columns, clock, left, {name: table.times[name] for name in columns if name in table.times}
+    )
 
 
 def _between(time: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -57,6 +57,10 @@ def propose(
         pairs = [_first_alone(pairs, evidence)]
     for number, pair in enumerate(pairs, 1):
         choose_channels(pair, number, evidence)
+    if still := [log for log in logs if not any(np.ptp(log.columns[c.column]) for c in proposal.outputs)]:
+        proposal = propose([log for log in logs if log not in still], joints, sheet)
+        proposal.left += [(log.file.title, "no angle and no speed moves in it") for log in still]
+        return proposal
     logged = {drive.joint for drive in proposal.drives}
     proposal.held = [joint.name for joint in joints if joint.name not in logged]
     used = {one.column for one in (time, *proposal.inputs, *proposal.outputs)} | {n for n, _ in proposal.left}
@@ -85,15 +89,24 @@ def _parts(evidence: Evidence) -> None:
     proposal = evidence.proposal
     for k, log in enumerate(proposal.logs):
         time = evidence.time(log)
-        part = np.arange(time.size)
-        steps = np.diff(time) / np.median(np.diff(time))
-        if float(steps.max()) > LONGEST_GAP:
-            part = max(np.split(part, np.flatnonzero(steps > LONGEST_GAP) + 1), key=len)
-            words = f"samples are missing for {steps.max():.3g} steps; the longest part without such a gap is kept"
+        clocks = {"": time} | {
+            c.column: log.times[c.column] for c in proposal.outputs if c.column in log.times
+        }
+        gaps = {name: np.diff(own) / np.median(np.diff(own)) for name, own in clocks.items()}
+        part, name = np.arange(time.size), max(gaps, key=lambda one: float(gaps[one].max()))
+        if (most := float(gaps[name].max())) > LONGEST_GAP:
+            part = _longest_part(time, [(own, gaps[name]) for name, own in clocks.items()])
+            whose = f" of '{name}'" if name else ""
+            words = f"samples{whose} are missing for {most:.3g} steps; the longest part without such a gap is kept"
             _cut(proposal, k, time[part], words)
         part = _clear_of_stops(evidence, k, part)
-        longest = float(np.max(steps[part[:-1]], initial=1.0))
-        if longest > MAX_GAP and proposal.resample:
+        longest = 1.0
+        for name, own in clocks.items():
+            if name or proposal.resample:  # other topics are interpolated, whether the clock is even or not
+                inside = (own[1:] > time[part[0]]) & (own[:-1] < time[part[-1]])
+                longest = max(longest, float(np.max(gaps[name][inside], initial=1.0)))
+        if longest > MAX_GAP:
+            proposal.resample = True
             proposal.max_gap = max(proposal.max_gap, float(math.ceil(longest + 1.0)))
     if proposal.max_gap:
         words = f"the longest gap that is bridged is below {proposal.max_gap:g} median steps"
@@ -102,6 +115,17 @@ def _parts(evidence: Evidence) -> None:
             f"May gaps of up to {proposal.max_gap:g} steps be bridged by interpolation? Else cut the records there "
             "with 'between'."
         )
+
+
+def _longest_part(time: np.ndarray, clocks: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The longest run of rows that lie in no long gap of any clock; each clock is its stamps and its relative steps."""
+    inside, after = np.zeros(time.size, bool), np.zeros(time.size, int)
+    for own, steps in clocks:
+        for k in np.flatnonzero(steps > LONGEST_GAP):
+            inside |= (time > own[k]) & (time < own[k + 1])
+            after += time >= own[k + 1]
+    rows = np.flatnonzero(~inside)
+    return max(np.split(rows, np.flatnonzero(np.diff(after[rows])) + 1), key=len)
 
 
 def _clear_of_stops(evidence: Evidence, k: int, part: np.ndarray) -> np.ndarray:
@@ -270,7 +294,7 @@ def _place(
 
 
 def _first_alone(pairs: Sequence[Pair], evidence: Evidence) -> Pair:
-    """The first of the joints, which alone is modelled where no robot says how they hang together; the others are said."""
+    """The first of the joints, which alone is modelled where no robot says how they hang together."""
     first, *others = pairs
     if others:
         evidence.ask(

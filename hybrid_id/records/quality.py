@@ -208,7 +208,7 @@ def _glitches(
     A joint that stops at its goal, which rests or turns there, has arrived.
     """
     if position and (turns := turns_back(values)).size:
-        at = stamp(record.time[turns[0]])
+        at = stamp(float(record.time[turns[0]]))
         yield (
             "warning",
             "wrapped",

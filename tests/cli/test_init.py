@@ -524,6 +524,15 @@ def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
     assert run("check", folder).code == 0
 
 
+def test_a_log_in_which_nothing_moves_is_left_out(run, tmp_path: Path, motions) -> None:
+    rest = (motions[0][0], motions[0][1], np.full_like(motions[0][2], 0.25))
+    folder = write_csv(tmp_path / "logs", [motions[0], rest, motions[2]], MS)
+    done = run("init", folder)
+    assert done.code == 0, done.err
+    assert [one["file"] for one in written(folder)[0]["records"]] == ["run1.csv", "run3.csv"]
+    assert "run2.csv: no angle and no speed moves in it" in (folder / "dataset.yaml").read_text()
+
+
 def test_a_bag_of_joint_states_and_a_command(run, tmp_path: Path, motions) -> None:
     pytest.importorskip("rosbags")
     from rosbags.rosbag2 import StoragePlugin, Writer

@@ -1,11 +1,13 @@
 """What a log's numbers say of time, units, signs and zeros."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hybrid_id.records.column_words import read_name
+from hybrid_id.records.logs import Log, LogFile
 from hybrid_id.records.proposal import (
     JointFacts,
     angle_unit,
@@ -22,6 +24,7 @@ from hybrid_id.records.proposal import (
     zero_by_goal,
     zero_offset,
 )
+from hybrid_id.records.proposed_dataset import propose
 
 T = np.arange(0.0, 6.0, 0.005)
 ANGLE = 1.2 * np.sin(1.7 * T)
@@ -164,3 +167,18 @@ def test_a_weight_is_seen_with_the_angle_at_which_it_hangs() -> None:
             assert fit.gravity == pytest.approx(weight, rel=0.05) and fit.hang == pytest.approx(0.3, abs=0.02)
         else:
             assert fit.weight < 1e-3
+
+
+@pytest.mark.parametrize("missing", [5, 100])
+def test_gaps_of_another_topic_are_bridged_or_cut(missing: int) -> None:
+    time = 0.01 * np.arange(1000)
+    own = np.delete(time + 0.003, slice(300, 300 + missing))
+    volts, angle = np.sin(3.0 * time), np.sin(2.0 * time)
+    columns = {"/volts": time, "/volts/data/voltage": volts, "/link/position/a": angle}
+    log = Log(LogFile(Path("run"), "bag"), columns, "/volts", times={"/link/position/a": own})
+    found = propose([log])
+    assert [one.column for one in found.outputs] == ["/link/position/a"]
+    if missing == 5:
+        assert found.resample and 6 < found.max_gap <= 8 and not found.between
+    else:
+        assert found.between[0] == (pytest.approx(4.01), time[-1]) and not found.max_gap

@@ -59,7 +59,9 @@ class TimeRange:
         kept, first = [np.empty(0, int)], 0
         for piece in pieces:
             time = piece[self.column]
-            rows = np.flatnonzero(~((time < self.low) | (time > self.high)))  # a missing stamp stays, to be refused
+            rows = np.flatnonzero(
+                ~((time < self.low) | (time > self.high))
+            )  # a missing stamp stays, to be refused
             found.append({name: values[rows] for name, values in piece.items()})
             kept.append(first + rows)
             first += len(time)
