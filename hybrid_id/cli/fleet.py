@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import added_results, refuse_foreign, required, sole_writer
-from hybrid_id.cli.inputs import check_window, load_records, read_model, refuse_errors
+from hybrid_id.cli.inputs import check_window, load_records, read_model, refuse_errors, remark_validation
 from hybrid_id.cli.options import (
     Backend,
     BackendOption,
@@ -80,6 +80,7 @@ def fleet(
         if earlier.isdisjoint(one.name for one in datasets):
             raise InputError(f"{home} holds a fleet of other robots; give another folder")
     check_window(wish, datasets[0].train)
+    remark_validation(sum(len(one.validation) for one in datasets), "fleet")
     use_threads(1)
     make_folder(home / ROBOTS)
     with sole_writer(home):

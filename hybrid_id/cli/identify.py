@@ -8,7 +8,14 @@ import typer
 
 from hybrid_id.cli.console import FitProgress, remark
 from hybrid_id.cli.folder import RESULT, keep_after, kept_fits, required, results_folder
-from hybrid_id.cli.inputs import check_window, checked_records, load_system, one_joint, remark_start_values
+from hybrid_id.cli.inputs import (
+    check_window,
+    checked_records,
+    load_system,
+    one_joint,
+    remark_start_values,
+    remark_validation,
+)
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -97,11 +104,7 @@ def identify(
         if joint is not None:
             dataset, system, noisier = one_joint(dataset, system, joint, config.identification.seed)
         remark_start_values(dataset, system)
-        if unused := len(dataset.validation):
-            those = "1 validation record is" if unused == 1 else f"{unused} validation records are"
-            remark(
-                f"{those} neither fitted nor scored by identify; 'hybrid-id diagnose' chooses models by them"
-            )
+        remark_validation(len(dataset.validation), "identify")
         use_device(config.identification.device)
         check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
         study, progress = run(dataset, system, config, jobs=jobs, kept=kept, noisier=noisier)

@@ -142,6 +142,13 @@ def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
         raise InputError(f"previous ({stage.model}): {error}") from None
 
 
+def remark_validation(count: int, command: str) -> None:
+    """Say that a command has no use for validation records, where there are any."""
+    if count:
+        those = "1 validation record is" if count == 1 else f"{count} validation records are"
+        remark(f"{those} neither fitted nor scored by {command}; 'hybrid-id diagnose' chooses models by them")
+
+
 def remark_start_values(dataset: "Dataset", system: "System") -> None:
     """Say what the start values do not explain: a sign, a unit."""
     from hybrid_id.study import check_start_values

@@ -14,6 +14,7 @@ from hybrid_id.records.measures import (
     estimate_noise,
     find_stop,
     has_arrived,
+    noise_of,
     quantisation_step,
     rest_samples,
     stretches,
@@ -181,7 +182,7 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
         words = f"it is {values[0]:g} throughout; check its column and its sensor"
         yield "warning" if held else "error", "constant", words
         return
-    noise, quantum = estimate_noise(values), quantisation_step(values)
+    noise, quantum = noise_of(record, name), quantisation_step(values)
     fine = max(noise, quantum)
     position = stem(name) in ("q_m", "q_a")
     resolution = f", resolution {quantum:.3g}" if quantum > 1e-3 * spread else ""
@@ -372,7 +373,7 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
                 "check its unit"
             )
             yield Finding("warning", "scale", words, record.name, name)
-    noise = float(np.median([estimate_noise(values) for values in signals]))
+    noise = float(np.median([noise_of(record, name) for record in dataset]))
     if channel.noise_std and noise and not 1 / 3 < noise / channel.noise_std < 3:
         words = (
             f"{name}: noise_std is {channel.noise_std:.2g} in the dataset file but the records show {noise:.2g}; "

@@ -152,7 +152,8 @@ def split_records(
 ) -> Split:
     """Whole records drawn by a seed: an experiment is never divided between training and test.
 
-    Records of role test are test records in every repeat; only where there is none, a share is drawn anew.
+    Records of role test test in every repeat, and those of role validation validate; only where there is none of a
+    role, a share is drawn anew.
 
     Args:
         dataset: the records.
@@ -171,7 +172,9 @@ def split_records(
     n_validation, n_test = (max(1, round(share * len(drawn))) for share in (validation, test))
     if not tests:
         tests, drawn = drawn[:n_test], drawn[n_test:]
-    held, train = drawn[:n_validation], drawn[n_validation:]
+    held, train = [r.name for r in dataset.validation if r.name not in apart], drawn
+    if not held:
+        held, train = drawn[:n_validation], drawn[n_validation:]
     if not train or not tests:
         raise InputError(
             f"Dataset '{dataset.name}' has too few records in range to train on {len(train)}, validate on "

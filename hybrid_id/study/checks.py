@@ -158,7 +158,8 @@ def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
                 "its encoder counts from elsewhere, give it that 'zero' under 'columns' in the dataset file, in unit "
                 "and sign of the file's own column"
             )
-            yield Finding("warning", "zero" if abs(apart) >= QUARTER else "beside", words, channel=name)
+            at_joint = abs(_turn(beside)) >= QUARTER
+            yield Finding("warning", "zero" if at_joint else "beside", words, channel=name)
 
 
 def _pairs(dataset: Dataset, name: str, scale: float, goal: str) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -266,15 +267,15 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
 
 def _still(dataset: Dataset, system: System) -> list[str]:
     """Names of the joints whose angles and speeds are measured and leave their noise in no record."""
-    found = []
+    found, noise = [], sensor_noise(dataset)
     for seat, joint in zip(system.arm.seats, system.joints, strict=True):
         own = [
             c
             for c in dataset.outputs
             if c.name in (f"{stem}{joint.number}" for stem in ("q_m", "q_a", "v_m", "v_a"))
         ]
-        signals = [(record.signal(c.name), c.noise_std or 0.0) for record in dataset.records for c in own]
-        moved = [np.ptp(values) > 0.0 and np.std(values) > STILL * noise for values, noise in signals]
+        signals = [(record.signal(c.name), noise[c.name]) for record in dataset.records for c in own]
+        moved = [np.ptp(values) > 0.0 and np.std(values) > STILL * level for values, level in signals]
         if own and not any(moved):
             found.append(joint.name if system.tree is None else system.tree.names[seat])
     return found
@@ -430,8 +431,9 @@ def profiles(
 ) -> dict[str, Profile]:
     """Profile likelihood of some parameters of the selected set, by name: every point is a fit of all the others.
 
-    The cost rises to where the larger of the plain and the robust standard error would end if the model were linear, so
-    that noise, autocorrelation and priors count as they do there. Ctrl-C ends it with the profiles that are complete.
+    The cost rises to where the study's standard error would end if the model were linear, so that noise,
+    autocorrelation, priors and the noise of inputs count as they do there. Ctrl-C ends it with the profiles that are
+    complete.
 
     Args:
         dataset: of the study.
@@ -455,7 +457,12 @@ def profiles(
         k = chosen.names.index(name)
         errors = plain.std_error[k], robust.std_error[k]
         known = bool(np.isfinite(errors).all()) and min(errors) > 0.0
-        variance = max(errors) ** 2 / plain.inverse_hessian[k, k] if known else plain.noise_variance
+        error = (
+            max(errors)
+            if study.input_error is None
+            else float(np.hypot(max(errors), study.input_error[index, k]))
+        )
+        variance = error**2 / plain.inverse_hessian[k, k] if known else plain.noise_variance
         spec, number = chosen.system.parameter(name).spec, count(1)
 
         def fitted(start: System) -> FitResult:
@@ -475,7 +482,7 @@ def profiles(
             best.values,
             k,
             minimum=2.0 * best.cost,
-            step=max(errors) if known else FIRST_STEP * abs(best.values[k]) or FIRST_STEP,
+            step=error if known else FIRST_STEP * abs(best.values[k]) or FIRST_STEP,
             noise_variance=variance,
             level=study.level,
             bounds=(spec.lower, spec.upper),

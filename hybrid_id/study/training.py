@@ -41,7 +41,7 @@ def train(
     resume: Path | None = None,
     progress: Progress | None = None,
 ) -> list[FitResult]:
-    """Train one parameter set for each train record, or one over all; the test records validate.
+    """Train one parameter set for each train record, or one over all; validation records validate, else test records.
 
     Args:
         dataset: the records.
@@ -61,13 +61,13 @@ def train(
     """
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'")
-    batch, test = (
+    batch, held = (
         batch_of(dataset, system, records, signal_share, device) if records else None
-        for records in (dataset.train, dataset.test)
+        for records in (dataset.train, dataset.validation or dataset.test)
     )
     assert batch is not None
     return train_batch(
-        copy.deepcopy(system).to(device), batch, pooled=pooled, engine=engine, options=options, validation=test,
+        copy.deepcopy(system).to(device), batch, pooled=pooled, engine=engine, options=options, validation=held,
         writer=writer, checkpoint=checkpoint, resume=resume, progress=progress,
     )  # fmt: skip
 

@@ -56,6 +56,18 @@ def test_test_records_stay_test_records() -> None:
     assert len({split.train for split in splits}) > 1
 
 
+def test_validation_records_validate_in_every_repeat() -> None:
+    data = dataset(10, tests=3)
+    records = (replace(r, role="validation") if r.name in ("run_0", "run_4") else r for r in data)
+    data = replace(data, records=tuple(records))
+    for seed in range(4):
+        split = split_records(data, seed, beyond=["run_1"])
+        assert split.validation == ("run_0", "run_4") and split.train == ("run_2", "run_3", "run_5", "run_6")
+    assert (
+        len(split_records(data, 0, beyond=["run_0", "run_4"]).validation) == 1
+    )  # drawn, as there is none in range
+
+
 def test_what_is_out_of_range_is_never_trained_on() -> None:
     for seed in range(4):
         split = split_records(dataset(8), seed, beyond=["run_2", "7 V"])

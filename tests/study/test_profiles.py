@@ -40,6 +40,15 @@ def test_a_profile_is_the_interval_of_the_standard_error_where_the_model_is_line
     assert told[0] == "profile of J, fit 1"
 
 
+def test_noise_of_inputs_widens_a_profile_as_it_does_the_standard_error() -> None:
+    study = studied(only(rigid_drive(), "J", "F_c"))
+    noisier = replace(study, input_error=3.0 * np.stack([cov.std_error for cov in study.covariances]))
+    found = profiles(DATA, noisier, ["J"], signal_share=0.0)["J"]
+    half = 1.96 * noisier.standard_errors(0)[study.names.index("J")]
+    assert half > 2.5 * 1.96 * study.standard_errors(0)[study.names.index("J")]
+    assert 0.5 * (found.upper - found.lower) == pytest.approx(half, rel=0.1)
+
+
 def test_a_prior_counts_as_it_does_in_the_standard_error() -> None:
     start = only(rigid_drive(), "J", "P_m1", "F_c", "F_v")  # which may all be multiplied by one number
     spec = start.parameter("P_m1").spec
