@@ -90,7 +90,7 @@ class ComputedTorque:
 
         Args:
             k: number of the sample.
-            angles: measured motor angles [rad], ``(n_joints, B)``.
+            angles: motor angles as the encoders read them [rad], ``(n_joints, B)``.
             speeds: motor speeds [rad/s].
 
         Returns:
@@ -104,6 +104,8 @@ class ComputedTorque:
         for j, joint in enumerate(self.system.joints):
             s = self.rotors[j]
             q, v = torch.as_tensor(angles[j]), torch.as_tensor(speeds[j])
+            for key, encoder in joint.drive.encoders:
+                q = q - encoder.read(self.views[key], torch.zeros_like(q))  # its reading at the model's zero
             error = self.kp * (planned[0, s] - q) + self.kv * (planned[1, s] - v)
             accelerations[s] = accelerations[s] + error
             if joint.rigid:
