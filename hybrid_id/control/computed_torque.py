@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -12,8 +12,9 @@ from hybrid_id.components.input.current_command import CurrentCommand
 from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.control.reference import Reference
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, listed
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
 SMOOTHING = 0.01
 """Standard deviation [s] of the Gaussian that smooths the motion planned for a motor behind a gear with play."""
@@ -35,11 +36,14 @@ class ComputedTorque:
         reference: desired motion at the links.
         bandwidth: of the error's dynamics [rad/s]: ``K_p = bandwidth^2``, ``K_v = 2 bandwidth``.
         limit: largest command of every motor, or one for each [V, A or N m, as it is commanded].
+        channels: what the model reads beside the commands (a logged load, the motion of a robot's other joints),
+            ``(T,)`` each in its unit, held over each sample of the reference.
         theta: parameters of B variants of the model in table order, ``(n_p, B)``; the system's own, B = 1, by default.
         width: desired speed at which dry friction is compensated to 76 % [rad/s, motor].
 
     Raises:
-        InputError: a joint that is commanded otherwise, or a reference with another number of joints.
+        InputError: a joint that is commanded otherwise or has no inverse, a reference with another number of joints,
+            or a channel that is missing.
     """
 
     def __init__(
@@ -49,6 +53,7 @@ class ComputedTorque:
         *,
         bandwidth: float,
         limit: float | Sequence[float],
+        channels: Mapping[str, np.ndarray] | None = None,
         theta: Tensor | None = None,
         width: float = 1.0,
     ) -> None:
@@ -56,28 +61,30 @@ class ComputedTorque:
             raise InputError(
                 f"The reference moves {reference.angle.shape[1]} joints, but the model has {len(system.joints)}."
             )
-        if system.tree is not None and system.tree.couplings:
-            raise InputError("The model's motors are coupled, of which computed torque knows no inverse.")
-        remembering = {system.state_names[row] for row in system.memory_rows}
-        for joint in system.joints:
-            if not isinstance(joint.drive.input[1], Voltage | CurrentCommand | TorqueCommand):
-                raise InputError(
-                    f"{joint.name} is not commanded by a voltage, current or torque, which computed torque needs."
-                )
-            drive = joint.drive
-            if drive.windings or drive.maps or drive.delay or remembering.intersection(joint.state_names):
-                raise InputError(
-                    f"{joint.name} has a delay, a limit, a dead band or a state that remembers, of which computed "
-                    "torque knows no inverse; leave these out of the controller's model."
-                )
+        _refuse_without_inverse(system)
         self.system, self.width = system, width
         self.limit = torch.as_tensor(limit, dtype=torch.float64).expand(len(system.joints))[:, None]
         self.kp, self.kv = bandwidth**2, 2.0 * bandwidth
         theta = system.theta().detach()[:, None] if theta is None else theta
         self.lanes = theta.shape[1]
         self.views = system.views(list(theta))
+        self.commands = [
+            f"{c}{joint.number}" for joint in system.joints for c in joint.drive.input[1].channels
+        ]
+        self.channels = self._known(channels or {}, len(reference.time))
         self.plan = self._plan(reference)
         self.rotors = [system.speed_rows.index(joint.positions[0] + 1) for joint in system.joints]
+
+    def _known(self, channels: Mapping[str, np.ndarray], samples: int) -> dict[str, Tensor]:
+        """Channels that the model reads beside the commands, ``(T, B)`` each."""
+        read = [name for name in self.system.input_names if name not in self.commands]
+        given = {name: np.asarray(channels.get(name, np.nan), float) for name in read}
+        if wrong := [n for n, v in given.items() if v.shape != (samples,) or not np.isfinite(v).all()]:
+            raise InputError(
+                f"The model reads {listed(wrong)} beside its commands; give channels with {samples} finite values of "
+                "each, or take a model that reads none."
+            )
+        return {n: torch.as_tensor(v)[:, None].expand(-1, self.lanes) for n, v in given.items()}
 
     def planned(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Angles [rad] and speeds [rad/s] that are planned for the motors at sample ``k``, ``(n_joints, B)`` each."""
@@ -110,92 +117,104 @@ class ComputedTorque:
             accelerations[s] = accelerations[s] + error
             if joint.rigid:
                 x[joint.positions[0]], x[joint.positions[0] + 1] = q, v
-        found = self._inverse(x, accelerations, planned[1], self.rotors)
+        found = self._inverse(k, x, accelerations, planned[1])
         return found.clamp(-self.limit, self.limit).numpy()
 
-    def _inverse(
-        self, x: list[Tensor], accelerations: list[Tensor], along: Tensor, rotors: list[int]
-    ) -> Tensor:
+    def _inverse(self, k: int, x: list[Tensor], accelerations: list[Tensor], along: Tensor) -> Tensor:
         """Commands with which the rotors accelerate so, ``(n_joints, B)``; dry friction acts along a speed."""
-        zero = torch.zeros(self.lanes, dtype=along.dtype)
+        zero, views = along.new_zeros(self.lanes), self.views
+        known = {name: values[k] for name, values in self.channels.items()}
+        idle, driven = (known | dict.fromkeys(self.commands, zero + one) for one in (0.0, 1.0))
         magnitudes, forwards = list(along.abs()), list((along > 0).to(along.dtype))
-        idle, driven = (
-            self.system.balances(
-                x, {name: zero + one for name in self.system.input_names}, self.views, magnitudes, forwards
-            )
-            for one in (0.0, 1.0)
-        )
-        reactions = idle.reactions(accelerations)
+        balances = self.system.balances(x, idle, views, magnitudes, forwards)
+        reactions = balances.reactions(accelerations)
         found = []
-        for s in rotors:
-            balance = idle.speeds[s]
+        for joint, s in zip(self.system.joints, self.rotors, strict=True):
+            balance, direction = balances.speeds[s], torch.tanh(along[s] / self.width)
+            torque, unit = (joint.drive.torque(x, u, views) for u in (idle, driven))
             level = balance.level
             if balance.factor is not None:
-                level = (
-                    level + balance.factor * balance.transmitted(accelerations[s], reactions[s] + zero).abs()
-                )
-            force = (
-                balance.inertia * accelerations[s] + reactions[s] + torch.tanh(along[s] / self.width) * level
-            )
-            found.append((force - balance.smooth) / (driven.speeds[s].smooth - balance.smooth))
+                through = balance.transmitted(accelerations[s], reactions[s] + zero)
+                level = level + balance.factor * through.abs()
+            force = balance.inertia * accelerations[s] + reactions[s] + direction * level
+            needed = torque + force - balance.smooth
+            found.append((needed - torque) / (unit - torque))
         return torch.stack(found)
 
     @torch.no_grad()
     def _plan(self, reference: Reference) -> Tensor:
         """Angles, speeds and accelerations of every rotor and link, ``(T, 3, n_speeds, B)``."""
-        wanted = np.stack([reference.angle, reference.speed, reference.acceleration], 1)
-        motions = torch.as_tensor(wanted)[..., None].expand(-1, -1, -1, self.lanes)
+        wanted = torch.as_tensor(np.stack([reference.angle, reference.speed, reference.acceleration]))
         columns = []
-        for j, joint in enumerate(self.system.joints):
-            link = motions[:, :, j]
+        for joint, motion in zip(self.system.joints, wanted.unbind(2), strict=True):
+            link = motion[..., None].expand(-1, -1, self.lanes)
             if joint.rigid:
                 columns.append(joint.gear_ratio * link)
-                continue
-            rotor = self._lead(j, link, reference.sample_time)
-            columns += [rotor, link]
-        return torch.stack(columns, 2)
+            else:
+                columns += [self._lead(joint, link, reference.sample_time), link]
+        return torch.stack(columns, 2).transpose(0, 1)
 
-    def _lead(self, j: int, link: Tensor, step: float) -> Tensor:
-        """Motion of a rotor, ``(T, 3, B)``, whose spring gives its link the torque that it needs."""
-        joint = self.system.joints[j]
+    def _lead(self, joint: Joint, link: Tensor, step: float) -> Tensor:
+        """Motion of a rotor, ``(3, T, B)``, whose spring gives its link the torque that it needs."""
         if len(self.system.joints) > 1:
             raise InputError("Computed torque through a spring is built for one joint; make the gears rigid.")
-        angle, speed, acceleration = (part.flatten() for part in link.unbind(1))
+        samples = link.shape[1]
+        angle, speed, acceleration = link.flatten(1)
         views = {
-            key: type(view)(**{n: v.expand(len(link), self.lanes).flatten() for n, v in vars(view).items()})
+            key: type(view)(**{n: v.expand(samples, self.lanes).flatten() for n, v in vars(view).items()})
             for key, view in self.views.items()
         }
-        r, zero = joint.gear_ratio, torch.zeros_like(angle)
-        channels = {name: zero for name in self.system.input_names}
+        zero = torch.zeros_like(angle)
+        channels = dict.fromkeys(self.commands, zero) | {n: v.flatten() for n, v in self.channels.items()}
         forward = (speed > 0).to(speed.dtype)
 
         def shortage(deflection: Tensor) -> Tensor:
             """Torque that the link needs less the one that the spring gives."""
             x = [zero for _ in self.system.state_names]
-            x[joint.positions[0]], x[joint.positions[0] + 1] = r * (angle + deflection), r * speed
-            x[joint.positions[1]], x[joint.positions[1] + 1] = angle, speed
-            balance = joint.balances(x, channels, views, [r * speed.abs(), speed.abs()], [forward, forward])[
-                1
-            ]
-            return (
-                balance.inertia * acceleration
-                + torch.tanh(r * speed / self.width) * balance.level
-                - balance.smooth
-            )
+            turned = joint.gear_ratio * torch.stack([angle + deflection, speed])
+            for row, motion in zip(joint.positions, (turned, (angle, speed)), strict=True):
+                x[row], x[row + 1] = motion
+            magnitudes = [turned[1].abs(), speed.abs()]
+            balance = self.system.balances(x, channels, views, magnitudes, [forward, forward]).speeds[1]
+            direction = torch.tanh(joint.gear_ratio * speed / self.width)
+            return balance.inertia * acceleration + direction * balance.level - balance.smooth
 
-        reach = torch.full_like(angle, 1e-4)
-        while bool((shortage(reach) > 0).any() or (shortage(-reach) < 0).any()) and float(reach.max()) < 1.0:
-            reach = 2.0 * reach
-        low, high = -reach, reach
-        for _ in range(50):
-            middle = 0.5 * (low + high)
-            short = shortage(middle) > 0
-            low, high = torch.where(short, middle, low), torch.where(short, high, middle)
-        deflection = _smooth((0.5 * (low + high)).reshape(len(link), self.lanes), SMOOTHING / step)
-        rates = [deflection]
+        deflection = _crossing(shortage, angle).reshape(samples, self.lanes)
+        rates = [_smooth(deflection, SMOOTHING / step)]
         for _ in range(2):
             rates.append(torch.gradient(rates[-1], spacing=step, dim=0)[0])
-        return r * (link + torch.stack(rates, 1))
+        return joint.gear_ratio * (link + torch.stack(rates))
+
+
+def _refuse_without_inverse(system: System) -> None:
+    """Raise InputError where a command cannot be found for a motion."""
+    if system.tree is not None and system.tree.couplings:
+        raise InputError("The model's motors are coupled, of which computed torque knows no inverse.")
+    remembering = {system.state_names[row] for row in system.memory_rows}
+    for joint in system.joints:
+        drive = joint.drive
+        if not isinstance(drive.input[1], Voltage | CurrentCommand | TorqueCommand):
+            raise InputError(
+                f"{joint.name} is not commanded by a voltage, current or torque, which computed torque needs."
+            )
+        if drive.windings or drive.maps or drive.delay or remembering.intersection(joint.state_names):
+            raise InputError(
+                f"{joint.name} has a delay, a limit, a dead band or a state that remembers, of which computed "
+                "torque knows no inverse; leave these out of the controller's model."
+            )
+
+
+def _crossing(falling: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:
+    """Angles [rad], within 1 of zero, where a falling function of them crosses zero, by bisection."""
+    reach = torch.full_like(like, 1e-4)
+    while bool((falling(reach) > 0).any() or (falling(-reach) < 0).any()) and float(reach.max()) < 1.0:
+        reach = 2.0 * reach
+    low, high = -reach, reach
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        above = falling(middle) > 0
+        low, high = torch.where(above, middle, low), torch.where(above, high, middle)
+    return 0.5 * (low + high)
 
 
 def _smooth(signal: Tensor, width: float) -> Tensor:

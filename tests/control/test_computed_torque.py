@@ -12,6 +12,8 @@ from hybrid_id.components import (
     BacklashFlexibility,
     Dahl,
     ElectricalLag,
+    LinearSpring,
+    LoggedLoad,
     MotorEncoder,
     PositionServo,
     Saturation,
@@ -21,6 +23,7 @@ from hybrid_id.control import ComputedTorque, Reference, sines, track
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible, two_link
+from hybrid_id.systems.by_joint import alone
 from hybrid_id.systems.model_file import load_model
 
 STEP = 0.004
@@ -166,13 +169,36 @@ def test_spring_with_play_is_led() -> None:
 
 def rms(model: System, plant: System | None = None, **logged: np.ndarray) -> float:
     """Error [rad] with which a model leads a machine, itself by default, along one sine."""
-    control = ComputedTorque(model, SINE, bandwidth=30.0, limit=24.0)
+    control = ComputedTorque(model, SINE, bandwidth=30.0, limit=24.0, channels=logged)
     plant = Machine(plant or model, substeps=2, logged=logged)
     return track(control, plant, SINE, cutoff=1e3).rms.item()
 
 
+def test_a_logged_load_is_none_of_the_commands() -> None:
+    loaded = LINK.with_component("joint1/load", LoggedLoad(c_w=1.9))
+    assert rms(loaded, w1=5.0 * np.sin(3.0 * SINE.time)) < 1e-3
+    for wrong in ({}, {"w1": np.zeros(3)}, {"w1": np.full(len(SINE.time), np.nan)}):
+        with pytest.raises(
+            InputError, match="reads w1 beside its commands; give channels with 350 finite values"
+        ):
+            ComputedTorque(loaded, SINE, bandwidth=30.0, limit=24.0, channels=wrong)
+
+
 def test_the_encoders_zero_is_taken_back() -> None:
     assert rms(LINK.with_component("joint1/sensor", MotorEncoder(offset=0.2 * 156.0))) < 1e-3
+
+
+@pytest.mark.parametrize("spring", [None, LinearSpring(k=30.0, d=0.05)], ids=["rigid", "spring"])
+def test_the_other_joints_motion_is_known(arm: System, spring: LinearSpring | None) -> None:
+    elbow, angle = alone(arm, 2), 0.5 * np.sin(7.0 * SINE.time)
+    elbow = elbow if spring is None else elbow.with_component("joint3/transmission", spring)
+    motion = {"angle": angle, "speed": np.gradient(angle, STEP), "acceleration": -49.0 * angle}
+    found = rms(elbow, **{f"{name}{k}": values for name, values in motion.items() for k in (1, 2)})
+    assert found < 1e-3
+    with pytest.raises(
+        InputError, match="reads angle1, speed1, acceleration1, angle2, speed2, acceleration2 "
+    ):
+        rms(elbow)
 
 
 def test_lanes_are_variants_of_the_model() -> None:
