@@ -14,7 +14,7 @@ from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.control.reference import Reference
 from hybrid_id.errors import InputError, listed
 from hybrid_id.systems.chain import System
-from hybrid_id.systems.joint import Joint
+from hybrid_id.systems.joint import Joint, sum_of
 
 SMOOTHING = 0.01
 """Standard deviation [s] of the Gaussian that smooths the motion planned for a motor behind a gear with play."""
@@ -132,12 +132,17 @@ class ComputedTorque:
         for joint, s in zip(self.system.joints, self.rotors, strict=True):
             balance, direction = balances.speeds[s], torch.tanh(along[s] / self.width)
             torque, unit = (joint.drive.torque(x, u, views) for u in (idle, driven))
-            level = balance.level
+            laws = joint.frictions["motor_friction"]
+            effort = sum_of([law.effort_factor(views[key]) for key, law in laws], zero)
+            # the balance rubs by the drive's torque without a command; by the one that is needed it is solved below
+            level = balance.level - effort * torque.abs()
             if balance.factor is not None:
                 through = balance.transmitted(accelerations[s], reactions[s] + zero)
                 level = level + balance.factor * through.abs()
             force = balance.inertia * accelerations[s] + reactions[s] + direction * level
             needed = torque + force - balance.smooth
+            # with |effort| < 1 it has the sign that it has without such friction
+            needed = needed / (1.0 - direction * effort * torch.sign(needed))
             found.append((needed - torque) / (unit - torque))
         return torch.stack(found)
 

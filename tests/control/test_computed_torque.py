@@ -11,14 +11,17 @@ from hybrid_id.components import (
     AsymmetricStribeck,
     BacklashFlexibility,
     Dahl,
+    EfficiencyLoss,
     ElectricalLag,
     LinearSpring,
+    LoadDependent,
     LoggedLoad,
     MotorEncoder,
     PositionServo,
     Saturation,
     TorqueMotor,
 )
+from hybrid_id.components.base import Friction
 from hybrid_id.control import ComputedTorque, Reference, sines, track
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.step import Engine
@@ -182,6 +185,12 @@ def test_a_logged_load_is_none_of_the_commands() -> None:
             InputError, match="reads w1 beside its commands; give channels with 350 finite values"
         ):
             ComputedTorque(loaded, SINE, bandwidth=30.0, limit=24.0, channels=wrong)
+
+
+@pytest.mark.parametrize("law", [EfficiencyLoss(mu=0.4), LoadDependent(mu=0.4)], ids=lambda law: law.kind)
+def test_friction_that_grows_with_torque_is_that_of_the_torque_needed(law: Friction) -> None:
+    lossy = LINK.with_component("joint1/motor_friction", law)
+    assert rms(lossy) < 1e-3 < rms(LINK, lossy)
 
 
 def test_the_encoders_zero_is_taken_back() -> None:
