@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import torch
@@ -26,7 +28,8 @@ class ComputedTorque:
     Angles and speeds are the motors'. Behind a rigid gear M and c are taken at the measured state, so that with the
     right model the error obeys ``e'' + K_v e' + K_p e = 0``; dry friction is taken at the desired speed, which does
     not chatter. Behind a spring the motor must lead its link: the torque that the link's motion needs gives the
-    spring's deflection (for the paper, the inverse of eq. 12), and the motor follows the angle planned so.
+    spring's deflection (for the paper, the inverse of eq. 12), and the motor follows the angle planned so. A gear's
+    kinematic error is planned for, too; the loop follows it as far as it is slow beside the sample time.
 
     Source: computed torque as in the paper's section III.C; J. Y. S. Luh, M. W. Walker, R. P. C. Paul, IEEE Trans.
     Automatic Control 25(3), 1980.
@@ -154,7 +157,7 @@ class ComputedTorque:
         for joint, motion in zip(self.system.joints, wanted.unbind(2), strict=True):
             link = motion[..., None].expand(-1, -1, self.lanes)
             if joint.rigid:
-                columns.append(joint.gear_ratio * link)
+                columns.append(_rotor(joint, link, self.views))
             else:
                 columns += [self._lead(joint, link, reference.sample_time), link]
         return torch.stack(columns, 2).transpose(0, 1)
@@ -176,8 +179,8 @@ class ComputedTorque:
         def shortage(deflection: Tensor) -> Tensor:
             """Torque that the link needs less the one that the spring gives."""
             x = [zero for _ in self.system.state_names]
-            turned = joint.gear_ratio * torch.stack([angle + deflection, speed])
-            for row, motion in zip(joint.positions, (turned, (angle, speed)), strict=True):
+            turned = _rotor(joint, torch.stack([angle + deflection, speed, acceleration]), views)
+            for row, motion in zip(joint.positions, (turned[:2], (angle, speed)), strict=True):
                 x[row], x[row + 1] = motion
             magnitudes = [turned[1].abs(), speed.abs()]
             balance = self.system.balances(x, channels, views, magnitudes, [forward, forward]).speeds[1]
@@ -188,7 +191,7 @@ class ComputedTorque:
         rates = [_smooth(deflection, SMOOTHING / step)]
         for _ in range(2):
             rates.append(torch.gradient(rates[-1], spacing=step, dim=0)[0])
-        return joint.gear_ratio * (link + torch.stack(rates))
+        return _rotor(joint, link + torch.stack(rates), self.views)
 
 
 def _refuse_without_inverse(system: System) -> None:
@@ -207,6 +210,27 @@ def _refuse_without_inverse(system: System) -> None:
                 f"{joint.name} has a delay, a limit, a dead band or a state that remembers, of which computed "
                 "torque knows no inverse; leave these out of the controller's model."
             )
+
+
+def _rotor(joint: Joint, link: Tensor, views: Mapping[str, SimpleNamespace]) -> Tensor:
+    """Angle, speed and acceleration of a rotor, ``(3, ...)``, whose unloaded gear moves its link so."""
+    ratio, gear = joint.gear_ratio, joint.gear
+    if not gear.errors:
+        return ratio * link
+    for key, _ in gear.errors:
+        p = views[key]
+        steepest = p.n * torch.hypot(p.E_c, p.E_s) + p.n_2 * torch.hypot(p.E_c2, p.E_s2)
+        if bool((ratio * steepest >= 1.0).any()):
+            raise InputError(
+                f"The kinematic_error of {joint.name} turns its link back while the motor turns on, of which computed "
+                "torque knows no inverse; leave it out of the controller's model."
+            )
+    angle, speed, acceleration = link
+    ahead = _crossing(lambda lead: angle - gear.map(ratio * (angle + lead), views)[0], angle)
+    rotor = ratio * (angle + ahead)
+    _, slope, curvature = gear.map(rotor, views)
+    speed = speed / slope
+    return torch.stack([rotor, speed, (acceleration - cast(Tensor, curvature) * speed.square()) / slope])
 
 
 def _crossing(falling: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from hybrid_id.components import (
     Dahl,
     EfficiencyLoss,
     ElectricalLag,
+    KinematicError,
     LinearSpring,
     LoadDependent,
     LoggedLoad,
@@ -195,6 +196,19 @@ def test_friction_that_grows_with_torque_is_that_of_the_torque_needed(law: Frict
 
 def test_the_encoders_zero_is_taken_back() -> None:
     assert rms(LINK.with_component("joint1/sensor", MotorEncoder(offset=0.2 * 156.0))) < 1e-3
+
+
+def test_an_error_of_the_gear_is_planned_for() -> None:
+    even = one_link(20.0, friction=AsymmetricStribeck())
+    uneven = even.with_component("joint1/transmission", KinematicError(E_c=0.02, E_s=0.0))
+    assert rms(uneven) < 2e-3 < 0.1 * rms(even, uneven)
+    steep = even.with_component("joint1/transmission", KinematicError(E_c=0.03, E_s=0.04))
+    with pytest.raises(InputError, match="kinematic_error of joint1 turns its link back"):
+        rms(steep)
+    # behind a spring, too, where the motor leads its link through the uneven gear
+    spring = one_link_flexible(50.0)
+    wavy = spring.with_component("joint1/transmission", KinematicError(E_c=0.002, E_s=0.0))
+    assert rms(wavy) < 1.1 * rms(spring)
 
 
 @pytest.mark.parametrize("spring", [None, LinearSpring(k=30.0, d=0.05)], ids=["rigid", "spring"])
