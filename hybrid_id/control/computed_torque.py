@@ -13,6 +13,7 @@ from torch import Tensor
 from hybrid_id.components.input.current_command import CurrentCommand
 from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.input.voltage import Voltage
+from hybrid_id.components.motor.free_rotor import FreeRotor
 from hybrid_id.control.reference import Reference
 from hybrid_id.errors import InputError, listed
 from hybrid_id.systems.chain import System
@@ -201,7 +202,8 @@ def _refuse_without_inverse(system: System) -> None:
     remembering = {system.state_names[row] for row in system.memory_rows}
     for joint in system.joints:
         drive = joint.drive
-        if not isinstance(drive.input[1], Voltage | CurrentCommand | TorqueCommand):
+        driven = isinstance(drive.input[1], Voltage | CurrentCommand | TorqueCommand)
+        if not driven or isinstance(drive.motor[1], FreeRotor):
             raise InputError(
                 f"{joint.name} is not commanded by a voltage, current or torque, which computed torque needs."
             )
@@ -209,6 +211,14 @@ def _refuse_without_inverse(system: System) -> None:
             raise InputError(
                 f"{joint.name} has a delay, a limit, a dead band or a state that remembers, of which computed "
                 "torque knows no inverse; leave these out of the controller's model."
+            )
+        # what passes a rigid gear depends on the acceleration, and so on the command
+        by_command = {"command", "torque", *(["transmitted"] if joint.rigid else [])}
+        read = {name for _, part, _ in joint.networks.by_place.values() for name in part.inputs}
+        if found := sorted(read & by_command):
+            raise InputError(
+                f"{joint.name} has a network that reads {listed(found)}, of which computed torque knows no inverse; "
+                "leave it out of the controller's model."
             )
 
 

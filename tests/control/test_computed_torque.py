@@ -13,12 +13,14 @@ from hybrid_id.components import (
     Dahl,
     EfficiencyLoss,
     ElectricalLag,
+    FreeRotor,
     KinematicError,
     LinearSpring,
     LoadDependent,
     LoggedLoad,
     MotorEncoder,
     PositionServo,
+    ResidualNetwork,
     Saturation,
     TorqueMotor,
 )
@@ -241,8 +243,13 @@ def test_what_cannot_be_turned_round_is_named() -> None:
     with pytest.raises(InputError, match="moves 1 joints, but the model has 2"):
         ComputedTorque(two_link([156.0, 84.0]), reference, bandwidth=30.0, limit=24.0)
     servo = LINK.with_component("joint1/input", PositionServo()).with_component("joint1/motor", TorqueMotor())
-    with pytest.raises(InputError, match="joint1 is not commanded by a voltage, current or torque"):
-        ComputedTorque(servo, reference, bandwidth=30.0, limit=24.0)
+    for undriven in (servo, LINK.with_component("joint1/motor", FreeRotor())):
+        with pytest.raises(InputError, match="joint1 is not commanded by a voltage, current or torque"):
+            ComputedTorque(undriven, reference, bandwidth=30.0, limit=24.0)
+    for signal in ("command", "torque", "transmitted"):
+        learnt = LINK.with_component("joint1/motor_friction", ResidualNetwork(inputs=(signal,)))
+        with pytest.raises(InputError, match=f"joint1 has a network that reads {signal}, of which"):
+            ComputedTorque(learnt, reference, bandwidth=30.0, limit=24.0)
     for where, part in (("input", Saturation()), ("motor", ElectricalLag()), ("motor_friction", Dahl())):
         with pytest.raises(
             InputError, match="joint1 has a delay, a limit, a dead band or a state that remembers"
