@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import result_file
-from hybrid_id.cli.options import ABOVE, JsonOption
+from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
 
@@ -94,7 +94,7 @@ def excite(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0, max=MOST_SEED)] = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+    force: ForceFilesOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Design a multisine of least crest factor and write it as CSV, and beside it as JSON how it was made."""

@@ -23,7 +23,7 @@ from hybrid_id.cli.folder import (
     result_file,
 )
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
-from hybrid_id.cli.options import ABOVE, JsonOption, use_threads
+from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
@@ -105,7 +105,7 @@ def export(
             show_default=str(WIDTH),
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+    force: ForceFilesOption = False,
     worse: Annotated[
         bool,
         typer.Option(

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.options import ABOVE
+from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.options import ABOVE, ForceFilesOption
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -27,6 +28,7 @@ def schema(
             "--out", "-o", help=f"File to write; the screen by default. {ABOVE}", show_default=False
         ),
     ] = None,
+    force: ForceFilesOption = False,
 ) -> None:
     """Write the JSON schema of a settings file, for editors: they complete keys, say what they mean and mark faults.
 
@@ -36,10 +38,8 @@ def schema(
     if out is None:
         show(text)
         return
-    from hybrid_id.records.files import write_whole
-
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, f"{text}\n")
+    with result_file(out, force=force) as file:
+        file.write_text(f"{text}\n", encoding="utf-8")
     remark(f"first line of a file beside it: {schema_line(out.name)}")
 
 

@@ -176,6 +176,9 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "negative rest": ("excite --rest -1 --out {out}", nothing, ("--rest",)),
     "signal over a file": ("excite --starts 1 --out {out}", file_in_the_way, ("out", "--force")),
     "picture over a file": ("excite --starts 1 --out {out}.csv --plot {out}", file_in_the_way, ("out", "--force")),
+    "schema over a file": ("schema model --out {out}", file_in_the_way, ("out", "--force")),
+    "schema over a folder": ("schema model --out {out} --force", folder_in_use, ("out", "is a folder")),
+    "schema below a file": ("schema model --out {out}/model.json", file_in_the_way, ("model.json", "cannot be made")),
     "settings of no place": ("demo --settings {out}/gone.yaml --out {out}", nothing, ("gone.yaml", "does not exist")),
     "settings of another kind": ("demo --settings {model} --out {out}", nothing, ("settings of the twin",)),
 }  # fmt: skip

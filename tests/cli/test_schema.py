@@ -109,5 +109,7 @@ def test_command_writes_it(run, tmp_path: Path) -> None:
     said = run("schema", "model", "--out", tmp_path / "a" / "model.json")
     assert said.code == 0 and schema_line("model.json") in said.err
     assert json.loads((tmp_path / "a" / "model.json").read_text())["title"] == "ModelFile"
+    assert run("schema", "study", "--out", tmp_path / "a" / "model.json", "--force").code == 0
+    assert json.loads((tmp_path / "a" / "model.json").read_text())["title"] == "StudyConfig"
     assert json.loads(run("schema", "dataset").out)["title"] == "DatasetFile"
     assert run("schema", "robot").code == 2
