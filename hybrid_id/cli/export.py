@@ -195,6 +195,9 @@ def _write(files: Sequence[Path], made: Made, text: str, *, force: bool) -> None
         if made.page is not None:
             made.page.write(beside[1])
         write_last(beside[0], text)
+    if force and made.page is None:  # that of an earlier model shows the errors of another one
+        for stale in files[2:]:
+            stale.unlink(missing_ok=True)
 
 
 def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, worse: bool) -> Made:

@@ -88,6 +88,13 @@ def test_a_file_that_nobody_named_is_said_to_go_with_the_named_one(
     assert [one.name for one in tmp_path.iterdir()] == [f"robot.{ending}"]
 
 
+def test_the_page_of_an_earlier_model_goes_with_it(run, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "robot.html").write_text("errors of another model")
+    done = run("export", drive / "model.yaml", "--to", "mjcf", "--out", tmp_path / "robot.xml", "--force")
+    assert done.code == 0, done.err  # without records there is no page
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["robot.json", "robot.xml"]
+
+
 def test_ranges_of_a_diagnosis_are_refused(run, drive: Path, tmp_path: Path) -> None:
     """Its one parameter set for all records would pass for what scatters between them."""
     folder = tmp_path / "gap"
