@@ -276,7 +276,7 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, Dra
     what = (
         f"{len(result.scores)} models, trained and tested on the same records in {count(repeats, 'repeat')}."
     )
-    section = page.section("Answer").add(*map(Text, others), what, *failures(result))
+    section = page.section("Answer").add(*others, what, *failures(result))
     if repeats > 1 and len({split.test for split in result.splits.values()}) == 1:
         section.add(
             "All repeats test on the same records, which have the role of test records: how the answer would change "

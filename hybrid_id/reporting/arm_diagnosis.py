@@ -396,11 +396,11 @@ def arm_page(
     joints = page.section("Joints").add(joints_table(found), _PART)
     if pages:
         joints.links("Each joint's own page:", pages)
-    joints.add(*map(Text, remark_lines(found)), _HOW)
-    tests = page.section("Test records").add(*(Text(capital(line)) for line in error_lines(found)))
+    joints.add(*remark_lines(found), _HOW)
+    tests = page.section("Test records").add(*map(capital, error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records = page.section("Records").add(records_table(found.dataset), *map(Text, skew_lines(found.skews)))
+    records = page.section("Records").add(records_table(found.dataset), *skew_lines(found.skews))
     if findings:
         records.add(findings_list(findings))
     return page

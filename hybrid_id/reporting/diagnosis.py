@@ -221,13 +221,13 @@ def diagnosis_page(
 
     _add_effects(page, diagnosis, picture, max_effects, robot)
     _add_location(page, diagnosis, picture)
-    tests = page.section("Test records").add(*map(_sentence, error_lines(diagnosis)))
+    tests = page.section("Test records").add(*map(capital, error_lines(diagnosis)))
     picture(tests, "gap", "worst_record")
     page.section("Parameters").add(
         *([diagnosis.changes] if diagnosis.changes else []),
-        *map(_sentence, implausible_lines(diagnosis)),
-        *map(_sentence, moved_line(moved_values(diagnosis), dataset.outputs)),
-        *map(_sentence, not_identifiable_lines(diagnosis)),
+        *map(capital, implausible_lines(diagnosis)),
+        *map(capital, moved_line(moved_values(diagnosis), dataset.outputs)),
+        *map(capital, not_identifiable_lines(diagnosis)),
         parameters_table(diagnosis),
         *combinations_table(details.studies[-1]),
         *([_BY_ITSELF] if robot else []),
@@ -240,11 +240,11 @@ def diagnosis_page(
         *residual_blocks(details.residual_tests, where, with_joint_names(channels, model))
     )
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis)]
-    page.section("Ties and next experiment").add(*map(_sentence, ties or [_NO_TIES]))
+    page.section("Ties and next experiment").add(*map(capital, ties or [_NO_TIES]))
     records = page.section("Records").add(records_table(dataset))
     if words := thinned_line(diagnosis):
-        records.add(_sentence(words))
-    records.add(*map(_sentence, skew_lines(diagnosis.skews)))
+        records.add(capital(words))
+    records.add(*map(capital, skew_lines(diagnosis.skews)))
     if findings:
         records.add(findings_list(findings))
     return page
@@ -267,12 +267,12 @@ def _add_effects(
         effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
     picture(effects, "shares")
     values = value_lines(diagnosis)
-    effects.add(effects_table(diagnosis, shown), *map(_sentence, values))
+    effects.add(effects_table(diagnosis, shown), *map(capital, values))
     picture(effects, *(_TORQUES if diagnosis.selected else ()))
-    effects.add(*map(_sentence, remarks))
+    effects.add(*map(capital, remarks))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
-        effects.add(_sentence(f"also tried, none of them more probable: {', '.join(others)}."))
+        effects.add(capital(f"also tried, none of them more probable: {', '.join(others)}."))
     if diagnosis.ties:
         effects.add(Text(_TIED, style="yellow"))
     picture(effects, "candidates")
@@ -281,13 +281,8 @@ def _add_effects(
 
 def _add_location(page: Page, diagnosis: Diagnosis, picture: Callable[..., None]) -> None:
     """The section on where a torque is missing."""
-    location = page.section("Location").add(_sentence(where_line(diagnosis) or _NOWHERE))
+    location = page.section("Location").add(capital(where_line(diagnosis) or _NOWHERE))
     picture(location, *(() if diagnosis.selected else _TORQUES))
     if words := disturbance_line(diagnosis):
-        location.add(_sentence(words))
+        location.add(capital(words))
     picture(location, "location", "reversals")
-
-
-def _sentence(words: str) -> Text:
-    """Words as a sentence of their own; brackets in them are no markup."""
-    return Text(capital(words))

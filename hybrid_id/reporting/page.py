@@ -53,15 +53,14 @@ class Section:
     blocks: list[Block] = field(default_factory=list)
 
     def add(self, *things: RenderableType) -> Section:
-        """Append what the terminal prints: text, rich tables, and groups of them."""
+        """Append what the terminal prints: text, rich tables, and groups of them; brackets in words are no markup."""
         for thing in things:
             if isinstance(thing, Group):
                 self.add(*thing.renderables)
             elif isinstance(thing, Table):
                 self.blocks.append(_table(thing))
             else:
-                text = Text.from_markup(thing) if isinstance(thing, str) else thing
-                self.blocks.append(Block("text", str(text), _style(text)))
+                self.blocks.append(Block("text", str(thing), _style(thing)))
         return self
 
     def links(self, text: str, places: Mapping[str, str]) -> Section:

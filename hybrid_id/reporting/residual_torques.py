@@ -153,7 +153,7 @@ def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, Dr
     """
     page = Page(f"Physics and networks on {dataset.name}", lead(found))
     joints = page.section("Joints").add(joints_table(found), _HOW)
-    joints.add(*(Text(f"not taken: {name} ({why}).") for name, why in found.skipped.items()))
+    joints.add(*(f"not taken: {name} ({why})." for name, why in found.skipped.items()))
     if pictures:
         maps = page.section("Networks")
         for picture in pictures.values():

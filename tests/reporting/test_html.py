@@ -68,6 +68,13 @@ def test_page_is_well_formed_and_escaped(text: str) -> None:
     assert "One set &amp; its page." in text
 
 
+def test_words_in_brackets_are_words() -> None:
+    words = "joint [/x] takes the goal [rad]."
+    made = Page("A run")
+    made.section("Left out").add(words, Group(words))
+    assert made.html().count(words) == 2
+
+
 def test_page_holds_tables_remarks_and_pictures() -> None:
     text = page().html()
     assert re.search(r'<td class="number red">2e-05</td>', text)
