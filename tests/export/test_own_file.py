@@ -236,6 +236,13 @@ def test_limits_that_a_drive_lacks_are_switched_off_in_place(tmp_path: Path) -> 
     )
 
 
+def test_a_goal_that_is_limited_on_one_side_is_limited_there(tmp_path: Path) -> None:
+    one_side = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 20, k_d: 1, goal_min: -0.2}}]"
+    system = arm(tmp_path, "robot: {file: arm.xml}\n" + one_side, ARM.replace(' ctrlrange="-90 90"', ""))
+    assert mujoco_model(to_mjcf(system)).actuator("servo").ctrlrange.tolist() == [-0.2, 1e4]
+    assert apart(system, waves(system, [0.8, 0.2], ["goal1", "tau2"])) < 2e-3
+
+
 @pytest.mark.parametrize(
     ("actuator", "ratio", "written"),
     [

@@ -66,5 +66,5 @@ class PositionServo(ServoLoop):
         found = {"gainprm": (p.k_p,), "biasprm": (0.0, -p.k_p, -p.k_d)}
         ends = {"forcerange": (-p.tau_max, p.tau_max), "ctrlrange": (p.goal_min, p.goal_max)}
         top = {"forcerange": self.declared["tau_max"].default, "ctrlrange": self.declared["goal_max"].default}
-        found |= {name: end for name, end in ends.items() if max(abs(float(e)) for e in end) < top[name]}
+        found |= {name: end for name, end in ends.items() if any(abs(float(e)) < top[name] for e in end)}
         return found, "is carried without its dead band" if float(p.e_0) > 0 else ""
