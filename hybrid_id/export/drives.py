@@ -27,6 +27,9 @@ DRY = {"solreffriction": "0.0005 1", "solimpfriction": "0.9999 0.9999 0.001"}
 TOP_SPEED = 500.0
 """Speed [rad/s] of a rotor up to which friction is fitted where no back-EMF bounds it."""
 
+COMMANDS = {"V": "voltage [V]", "A": "current [A]", "N m": "torque [N m]"}
+"""What a motor's command is, by its unit."""
+
 Attributes = dict[str, str]
 
 
@@ -197,6 +200,12 @@ def carried(parts: Iterable[tuple[str, Any]], p: Views, *motor: float) -> tuple[
         found |= written(own)
         notes += [noted(key, missing)] if missing else []
     return found, notes
+
+
+def commanded(joint: Joint) -> str:
+    """What a joint's motor takes, with its unit."""
+    gives = joint.drive.input[1].gives
+    return "motor's " + COMMANDS.get(gives, f"command [{gives}]")
 
 
 def _motor(joint: Joint, p: Views, step: float, extras: Attributes) -> tuple[str, Attributes, list[str]]:

@@ -24,7 +24,7 @@ from hybrid_id import __version__
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import left_out
-from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, number, numbers
+from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, commanded, number, numbers
 from hybrid_id.robots.description import compiled, read_spec, without_missing_meshes
 from hybrid_id.robots.tree import Body, RigidBodyTree, TreeJoint
 from hybrid_id.systems.chain import System
@@ -36,8 +36,6 @@ AT_JOINT = (0, 1)
 """MuJoCo's numbers of transmissions to a joint: in its own frame, and in its parent's."""
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
 """What an actuator is where neither it nor a default says otherwise."""
-UNITS = {"V": "voltage [V]", "A": "current [A]", "N m": "torque [N m]"}
-"""What a motor's command is."""
 
 
 def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mjcf:
@@ -409,8 +407,7 @@ class _Edit(Drives):
             if named or new:
                 self.text.put(mine[0], named | new)
             return (mine[0].values | named)["name"]
-        gives = joint.drive.input[1].gives
-        command = "motor's " + UNITS.get(gives, f"command [{gives}]")
+        command = commanded(joint)
         if self.closes(joint):
             command = "goal [rad]" if known.kind == "hinge" else "goal [m]"
         if tag == "general":  # no default of the file is to reach into it
@@ -456,7 +453,7 @@ class _Edit(Drives):
             return None
         self.notes.append(
             f"{self.tree.names[joint.number - 1]}: its actuator has the gear {gear:g} in the place of "
-            f"{here.gear[0]:g}, and takes the motor's torque [N m]; its limits are the same at the joint"
+            f"{here.gear[0]:g}, and takes the {commanded(joint)}; its limits are the same at the joint"
         )
         return {"gear": number(gear)} | _limits(here, ("ctrl", "force"), here.gear[0] / gear)
 

@@ -68,7 +68,7 @@ def waves(system: System, sizes: list[float], channels: list[str]) -> Dataset:
     outputs = {f"q_m{joint.number}": 0.0 * time for joint in system.joints}
     return Dataset(
         "waves",
-        tuple(Channel(name, {"u": "V", "t": "N m", "g": "rad"}[name[0]]) for name in inputs),
+        tuple(Channel(name, {"u": "V", "t": "N m", "g": "rad", "i": "A"}[name[0]]) for name in inputs),
         tuple(Channel(name, "rad", 1e-4) for name in outputs),
         (Record("run", time, inputs, outputs),),
         0.004,
@@ -279,6 +279,16 @@ def test_gear_and_limits_of_an_actuator_are_kept(
     assert mujoco_model(exported).nu == 2
     command = "goal1" if actuator.startswith("<position") else "tau1"
     assert apart(system, waves(system, [0.3 / ratio, 0.1], [command, "tau2"])) < 2e-3
+
+
+def test_an_actuator_that_is_kept_says_that_it_takes_a_current(tmp_path: Path) -> None:
+    driven = "{place: lift/input, kind: current_command}, {place: lift/motor, kind: current_motor, parameters: {k_t: 2}}"
+    text = re.sub("<position.*/>", '<motor name="m" joint="lift" ctrlrange="-3 3"/>', ARM)
+    system = arm(tmp_path, f"robot: {{file: arm.xml}}\ncomponents: [{driven}]\n", text)
+    exported = to_mjcf(system)
+    (note,) = exported.notes
+    assert "the gear 2 in the place of 1, and takes the motor's current [A]" in note
+    assert apart(system, waves(system, [0.1, 0.1], ["i1", "tau2"])) < 2e-3
 
 
 def test_drives_of_other_kinds_move_alike(tmp_path: Path) -> None:
