@@ -56,7 +56,7 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
     if converted := _Text(text).root == "robot":
         _untouched_base(spec)
         text = spec.to_xml()
-    exported = _Edit(system, tree, path, text, compiled(path, spec), step).build(converted=converted)
+    exported = _Edit(system, tree, path, text, spec, step).build(converted=converted)
     try:
         mujoco_model(exported)
     except ValueError as error:
@@ -204,10 +204,13 @@ class _Edit(Drives):
     """One system on its way into its robot's description."""
 
     def __init__(
-        self, system: System, tree: RigidBodyTree, path: Path, text: str, model: Any, step: float | None
+        self, system: System, tree: RigidBodyTree, path: Path, text: str, spec: Any, step: float | None
     ) -> None:
-        super().__init__(system, step or float(model.opt.timestep))
-        self.tree, self.path, self.model = tree, path, model
+        self.model = compiled(path, spec)
+        super().__init__(system, step or float(self.model.opt.timestep))
+        self.tree, self.path = tree, path
+        # MuJoCo makes a damping of these ratios by the inertia, which the drives change
+        self.damping_ratios = {one.id for one in spec.actuators if one.biasprm[2] > 0.0}
         self.text, self.set_step = _Text(text), step is not None
         self.elements = [*self.text.elements]
         for included in _included(text, path.parent).values():
@@ -473,7 +476,8 @@ class _Edit(Drives):
                 f"{self.tree.names[joint.number - 1]}: its actuator has the gear 1 in the place of "
                 f"{here.gear[0]:g}, so that its goal is the joint's"
             )
-        if not np.allclose([-bias[1], *bias], [here.gainprm[0], *here.biasprm[:3]], rtol=SAME, atol=0.0):
+        same = np.allclose([-bias[1], *bias], [here.gainprm[0], *here.biasprm[:3]], rtol=SAME, atol=0.0)
+        if not same or here.id in self.damping_ratios:
             both = (
                 number(-bias[1]),
                 number(0.0 - bias[2]) if element.tag == "position" else attributes["biasprm"],

@@ -244,6 +244,22 @@ def test_a_goal_that_is_limited_on_one_side_is_limited_there(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    "default",
+    ['<position dampratio="1"/>', '<general biastype="affine" biasprm="0 -50 1"/>'],
+    ids=["position", "general"],
+)
+def test_a_damping_ratio_of_a_default_gives_no_other_damping_to_another_rotor(
+    tmp_path: Path, default: str
+) -> None:
+    system = arm(tmp_path, text=ARM.replace("<default>", f"<default>{default}", 1))
+    damping = float(mujoco_model(to_mjcf(system)).actuator("servo").biasprm[2])
+    heavier = system.with_values({"J_m_lift": 0.08})
+    assert damping < -0.1
+    assert float(mujoco_model(to_mjcf(heavier)).actuator("servo").biasprm[2]) == pytest.approx(damping)
+    assert apart(heavier, waves(heavier, [0.4, 0.2], ["goal1", "tau2"])) < 2e-3
+
+
+@pytest.mark.parametrize(
     ("actuator", "ratio", "written"),
     [
         (  # the gear is the drive's
@@ -282,7 +298,8 @@ def test_gear_and_limits_of_an_actuator_are_kept(
 
 
 def test_an_actuator_that_is_kept_says_that_it_takes_a_current(tmp_path: Path) -> None:
-    driven = "{place: lift/input, kind: current_command}, {place: lift/motor, kind: current_motor, parameters: {k_t: 2}}"
+    driven = "{place: lift/input, kind: current_command}, "
+    driven += "{place: lift/motor, kind: current_motor, parameters: {k_t: 2}}"
     text = re.sub("<position.*/>", '<motor name="m" joint="lift" ctrlrange="-3 3"/>', ARM)
     system = arm(tmp_path, f"robot: {{file: arm.xml}}\ncomponents: [{driven}]\n", text)
     exported = to_mjcf(system)
