@@ -34,8 +34,14 @@ SAME = 1e-9
 """Relative difference below which a value of the file stands."""
 AT_JOINT = (0, 1)
 """MuJoCo's numbers of transmissions to a joint: in its own frame, and in its parent's."""
+OWN = "hybrid_id"
+"""Class of the actuators that the drives bring, so that no default of the file reaches into these."""
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
-"""What an actuator is where neither it nor a default says otherwise."""
+_PLAIN |= {f"{what}limited": "false" for what in ("ctrl", "force", "act")}
+_PLAIN |= {what: "0" for what in ("damping", "armature", "delay", "nsample", "inheritrange")} | {
+    "actdim": "-1"
+}
+"""What an actuator of that class is where its element does not say otherwise."""
 
 
 def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mjcf:
@@ -211,7 +217,7 @@ class _Edit(Drives):
         self.tree, self.path = tree, path
         # MuJoCo makes a damping of these ratios by the inertia, which the drives change
         self.damping_ratios = {one.id for one in spec.actuators if one.biasprm[2] > 0.0}
-        self.text, self.set_step = _Text(text), step is not None
+        self.text, self.set_step, self.own_class = _Text(text), step is not None, False
         self.elements = [*self.text.elements]
         for included in _included(text, path.parent).values():
             self.elements += _Text(included.decode("utf-8")).elements
@@ -229,7 +235,7 @@ class _Edit(Drives):
             self._joint(joint, known)
             for joint, known in zip(self.system.joints, self.tree.joints, strict=True)
         )
-        self.added += [_written(tag, self._alone(tag, attributes)) for tag, attributes in self.passive]
+        self.added += [self._new(tag, attributes) for tag, attributes in self.passive]
         self._masses()
         self.notes += carried([*self.system.networks.items(), *self.system.arm.contacts], self.p)[1]
         for (old, command), names in self.replaced.items():
@@ -248,10 +254,12 @@ class _Edit(Drives):
             str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None
         )
 
-    def _alone(self, tag: str, attributes: Attributes) -> Attributes:
-        """Attributes of an actuator of friction or a bias, of which no default of the file sets any other."""
-        defaults = tag == "general" and any("default" in e.above for e in self.elements)
-        return _limited(_PLAIN | attributes) if defaults else attributes
+    def _new(self, tag: str, attributes: Attributes) -> str:
+        """An actuator that a drive brings, in a class of its own where the file has defaults for all."""
+        limited = {f"{end}limited": "true" for end in ("ctrl", "force") if f"{end}range" in attributes}
+        defaults = any(e.above[1:] == ("default",) and e.tag != "default" for e in self.elements)
+        self.own_class |= defaults
+        return _written(tag, attributes | limited | ({"class": OWN} if defaults else {}))
 
     def _masses(self) -> None:
         """Write inertias that differ from the file's into their bodies, and payloads as bodies of their own."""
@@ -317,6 +325,10 @@ class _Edit(Drives):
         root, top = self.text.elements[-1], (self.text.root,)
         words = [f"hybrid_id {__version__}: drives of {', '.join(self.tree.names)}", *notes]
         lines = [f"<!-- {'; '.join(words).replace('--', '- -')} -->"]
+        known = any(e.tag == "default" and e.values.get("class") == OWN for e in self.elements)
+        if self.own_class and not known:
+            plain = _written("general", _PLAIN)
+            lines += ["<default>", f'  <default class="{OWN}">{plain}</default>', "</default>"]
         section = next((e for e in self.text.elements if e.tag == "actuator" and e.above == top), None)
         if self.added and section is not None:
             self.text.append(section, self.added)
@@ -413,16 +425,13 @@ class _Edit(Drives):
         command = commanded(joint)
         if self.closes(joint):
             command = "goal [rad]" if known.kind == "hinge" else "goal [m]"
-        if tag == "general":  # no default of the file is to reach into it
-            attributes = _PLAIN | attributes
-            if here is not None and not self.closes(joint):
-                attributes |= _limits(here, ("force",), here.gear[0] / float(attributes["gear"]))
-            attributes = _limited(attributes)
+        if tag == "general" and here is not None and not self.closes(joint):
+            attributes |= _limits(here, ("force",), here.gear[0] / float(attributes["gear"]))
         if not mine:
-            self.added.append(_written(tag, attributes))
+            self.added.append(self._new(tag, attributes))
             return attributes["name"]
         attributes["name"] = mine[0].values.get("name", attributes["name"])
-        self.text.replace(mine[0], _written(tag, attributes))
+        self.text.replace(mine[0], self._new(tag, attributes))
         for other in mine[1:]:
             self.text.replace(other, "")
         self.replaced.setdefault((" and a ".join(e.tag for e in mine), command), []).append(known.name)
@@ -526,12 +535,6 @@ def _changed(found: Attributes, known: TreeJoint, *, turned: bool) -> Attributes
         return not more and math.isclose(float(first), before[name], rel_tol=SAME, abs_tol=1e-300)
 
     return {name: value for name, value in found.items() if name not in before or not same(name, value)}
-
-
-def _limited(attributes: Attributes) -> Attributes:
-    """Attributes of an actuator with those ranges alone that stand there."""
-    limits = ("ctrllimited", "ctrlrange"), ("forcelimited", "forcerange")
-    return attributes | {name: str(end in attributes).lower() for name, end in limits}
 
 
 def _written(tag: str, attributes: Attributes) -> str:

@@ -123,15 +123,30 @@ def test_a_joint_that_is_held_is_held_there(tmp_path: Path) -> None:
     assert float(data.joint("elbow").qpos[0]) == pytest.approx(1.2, abs=2e-3)
 
 
-def test_no_default_of_the_file_reaches_into_a_bias(tmp_path: Path) -> None:
+def test_no_default_of_the_file_reaches_into_the_drives(tmp_path: Path) -> None:
     """MuJoCo has one default for all actuators, whatever their element is called."""
-    text = ARM.replace("<default>", '<default><motor gear="100" ctrlrange="-1 1" forcerange="-0.1 0.1"/>', 1)
+    limits = 'ctrlrange="-1 1" ctrllimited="true" forcerange="-0.02 0.02"'
+    reach = f'{limits} gear="100" damping="2" armature="1" delay="0.05" nsample="200" actlimited="true" actdim="2"'
+    drives = """
+robot: {file: arm.xml}
+gear_ratio: [50, 1]
+components:
+  - {place: lift/input, kind: voltage}
+  - {place: lift/motor, kind: dc_motor, parameters: {P_m1: 0.004, P_m2: 0.01}}
+  - {place: elbow/motor_friction, kind: lugre, parameters: {sigma_0: 100, sigma_1: 0.1}}
+  - {place: elbow/load, kind: constant_torque, parameters: {T_0: 0.1}}
+"""
+    system = arm(tmp_path, drives, ARM.replace("<default>", f"<default><general {reach}/>", 1))
+    system = system.with_values({"F_c_elbow": 0.05})
+    assert apart(system, waves(system, [6.0, 0.3], ["u1", "tau2"])) < 5e-3
+
+
+def test_an_export_is_exported_once_more(tmp_path: Path) -> None:
+    first = to_mjcf(arm(tmp_path, text=ARM.replace("<default>", '<default><motor ctrlrange="-1 1"/>', 1)))
     bias = "components: [{place: lift/load, kind: constant_torque, parameters: {T_0: 0.5}}]\n"
-    model = mujoco_model(to_mjcf(arm(tmp_path, f"robot: {{file: arm.xml}}\n{bias}", text)))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    number = model.actuator("constant_torque_lift").id
-    assert float(data.actuator_force[number] * model.actuator_gear[number, 0]) == pytest.approx(-0.5)
+    again = to_mjcf(arm(tmp_path, f"robot: {{file: arm.xml}}\n{bias}", first.text))
+    assert mujoco_model(again).nu == mujoco_model(first).nu + 1
+    assert again.text.count('<default class="hybrid_id">') == 1
 
 
 def test_angles_are_in_the_unit_that_an_included_file_gives(tmp_path: Path) -> None:
@@ -275,7 +290,7 @@ def test_a_damping_ratio_of_a_default_gives_no_other_damping_to_another_rotor(
         (
             '<velocity joint="lift" kv="5" gear="2" forcerange="-3 3"/>',
             1,
-            'joint="lift" gear="1" gainprm="1" forcerange="-6 6" ctrllimited="false" forcelimited="true"/>',
+            'joint="lift" gear="1" gainprm="1" forcerange="-6 6" forcelimited="true"/>',
         ),
         (
             '<position joint="lift" kp="5" kv="1" gear="2" ctrlrange="-1 1" forcerange="-3 3"/>',
