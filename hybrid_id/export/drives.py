@@ -264,8 +264,15 @@ def _command(joint: Joint, p: Views, step: float) -> tuple[Attributes, list[str]
     """Limit and delay of the command, and what of the input stage stays outside."""
     key, source = joint.drive.input
     missing = source.mjcf(p[key])[1]
+    if source.at_joint:
+        missing = (
+            "stays with the controller, and its torque over the gear ratio is ctrl: it reads the link's angle, but "
+            "MuJoCo's actuators read the angle at which they act, the rotor's"
+        )
     asked = f"{source.kind} ({', '.join(source.channels)})"
-    notes = [f"joint{joint.number}/input: ctrl is the motor's voltage; {asked} {missing}"] if missing else []
+    notes = (
+        [f"joint{joint.number}/input: ctrl is the {commanded(joint)}; {asked} {missing}"] if missing else []
+    )
     found, left = carried(joint.drive.maps, p)
     notes += left
     held = _delay(joint, p, step)

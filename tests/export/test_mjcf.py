@@ -29,6 +29,7 @@ from hybrid_id.components import (
     MotorEncoder,
     PositionDependent,
     PositionLoop,
+    PositionServo,
     QuadraticDrag,
     ResidualNetwork,
     Saturation,
@@ -36,6 +37,7 @@ from hybrid_id.components import (
     Spring,
     Stribeck,
     ThermalDerating,
+    TorqueMotor,
 )
 from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
@@ -64,7 +66,7 @@ def dataset(
     still = {name: np.zeros_like(t) for name in outputs}
     record = Record(name="waves", time=t, inputs=inputs, outputs=still)
     channels = (
-        tuple(Channel(n, "A" if n[0] == "i" else "V") for n in inputs),
+        tuple(Channel(n, {"i": "A", "g": "rad"}.get(n[0], "V")) for n in inputs),
         tuple(Channel(n, "rad/s" if n[0] == "v" else "rad") for n in outputs),
     )
     return Dataset(name="bench", inputs=channels[0], outputs=channels[1], records=(record,))
@@ -173,6 +175,20 @@ def test_delay_of_a_position_loop_holds_back_the_goal_and_not_the_angle() -> Non
     channels = tuple(Channel(name, unit) for name, unit in zip(inputs, units, strict=True))
     data = Dataset(name="bench", inputs=channels, outputs=(Channel("q_m1", "rad"),), records=(record,))
     assert apart(late, data) < 2e-3
+
+
+def servo(system: System) -> System:
+    """The system with a position loop at its joint in the place of a voltage."""
+    loop = PositionServo(k_p=30.0, k_d=1.0, tau_max=3.0)
+    return system.with_component("joint1/motor", TorqueMotor()).with_component("joint1/input", loop)
+
+
+def test_a_position_servo_behind_a_compliant_gear_stays_with_the_controller() -> None:
+    pytest.importorskip("mujoco")
+    system = servo(one_link_flexible(100.0))
+    (note,) = to_mjcf(system).notes
+    assert "ctrl is the motor's torque [N m]; position_servo (goal) stays with the controller" in note
+    assert apart(system, dataset(outputs=("q_m1", "q_a1"), channel="goal", size=0.4)) < 2e-3
 
 
 def test_friction_that_grows_in_one_direction_says_how_far() -> None:
