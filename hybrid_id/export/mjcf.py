@@ -127,11 +127,14 @@ class _Document(Drives):
         self.notes += found.notes
 
     def _sense(self, joint: Joint, at_link: Attributes) -> None:
-        n, kind = joint.number, next(iter(at_link))
-        for name, tag in ((f"q_m{n}", "actuatorpos"), (f"v_m{n}", "actuatorvel")):
-            ET.SubElement(self.sensors, tag, name=name, actuator=f"motor{n}")
-        for name, tag in ((f"q_a{n}", f"{kind}pos"), (f"v_a{n}", f"{kind}vel")):
-            ET.SubElement(self.sensors, tag, {"name": name} | at_link)
+        n, at_motor = joint.number, {"actuator": f"motor{joint.number}"}
+        if self.closes(joint):  # its actuator is as long as the joint's angle, which its goal is
+            at_motor = {"tendon": f"motor_angle{n}"}
+            fixed = ET.SubElement(self.tendons, "fixed", name=at_motor["tendon"])
+            ET.SubElement(fixed, "joint", joint=f"joint{n}", coef=number(joint.gear_ratio))
+        for side, on in (("m", at_motor), ("a", at_link)):
+            for letter, what in (("q", "pos"), ("v", "vel")):
+                ET.SubElement(self.sensors, f"{next(iter(on))}{what}", {"name": f"{letter}_{side}{n}"} | on)
         self.sensed(joint)
 
 

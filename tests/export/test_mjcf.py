@@ -45,6 +45,7 @@ from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.replay import agreement, free_runs_of, mujoco_replays
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
+from hybrid_id.statistics.fit import nrmse
 from hybrid_id.systems import System, one_link, one_link_flexible, two_link
 
 RATIO = 156.0
@@ -80,6 +81,12 @@ def flexible() -> System:
     return one_link_flexible(RATIO, vertical=True).with_values(
         {"J_m": 1e-5, "J_a": 0.25, "k": 300.0, "G_l": 1.0}
     )
+
+
+def servo(system: System) -> System:
+    """The system with a position loop at its joint in the place of a voltage."""
+    loop = PositionServo(k_p=30.0, k_d=1.0, tau_max=3.0)
+    return system.with_component("joint1/motor", TorqueMotor()).with_component("joint1/input", loop)
 
 
 SYSTEMS = {
@@ -177,18 +184,31 @@ def test_delay_of_a_position_loop_holds_back_the_goal_and_not_the_angle() -> Non
     assert apart(late, data) < 2e-3
 
 
-def servo(system: System) -> System:
-    """The system with a position loop at its joint in the place of a voltage."""
-    loop = PositionServo(k_p=30.0, k_d=1.0, tau_max=3.0)
-    return system.with_component("joint1/motor", TorqueMotor()).with_component("joint1/input", loop)
-
-
 def test_a_position_servo_behind_a_compliant_gear_stays_with_the_controller() -> None:
     pytest.importorskip("mujoco")
     system = servo(one_link_flexible(100.0))
     (note,) = to_mjcf(system).notes
     assert "ctrl is the motor's torque [N m]; position_servo (goal) stays with the controller" in note
     assert apart(system, dataset(outputs=("q_m1", "q_a1"), channel="goal", size=0.4)) < 2e-3
+
+
+@pytest.mark.parametrize("name", ["one_link", "flexible", "servo"])
+def test_the_sensors_read_what_the_model_does(name: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    system = servo(one_link(100.0)) if name == "servo" else SYSTEMS[name]
+    read: dict[str, list[float]] = {output: [0.0] for output in ("q_m1", "v_m1", "q_a1", "v_a1")}
+    channel, size = ("goal", 0.4) if name == "servo" else ("u", 8.0)
+    (run,) = free_runs_of(system, dataset(1, tuple(read), channel, size))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(system).text)
+    data = mujoco.MjData(model)
+    for command in run.record.inputs[f"{channel}1"][:-1]:
+        data.ctrl[0] = command
+        mujoco.mj_step(model, data, 8)
+        mujoco.mj_forward(model, data)  # sensors lag a step
+        for output, values in read.items():
+            values.append(float(data.sensor(output).data[0]))
+    for output, values in read.items():
+        assert nrmse(run.outputs[output], np.array(values)) < 5e-3, output
 
 
 def test_friction_that_grows_in_one_direction_says_how_far() -> None:
