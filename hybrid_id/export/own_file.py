@@ -387,12 +387,32 @@ class _Edit(Drives):
         else:
             tag, attributes = self.act(joint, found, found, target, target)
         found["damping"] = re.sub(r"( 0)+$", "", found["damping"])
+        found |= self._torque_limit(joint, known, attributes)
         self.sensed(joint)
         turned = known.kind == "hinge" and self._in_degrees()
         if turned and "springref" in found:
             found["springref"] = number(math.degrees(float(found["springref"])))
         self.text.put(element, _changed(found, known, turned=turned))
         return self._motor(joint, known, tag, attributes)
+
+    def _torque_limit(self, joint: Joint, known: TreeJoint, attributes: Attributes) -> Attributes:
+        """What becomes of a joint's own limit of torque: it stays, and is said, but where a servo's own is larger."""
+        here = self.model.joint(known.name).id
+        if not self.model.jnt_actfrclimited[here]:
+            return {}
+        low, high = self.model.jnt_actfrcrange[here]
+        unit = "N m" if known.kind == "hinge" else "N"
+        words = f"{known.name}: its actuatorfrcrange, {low:g} to {high:g} {unit},"
+        if not self.closes(joint):
+            self.notes.append(
+                f"{words} stays, the model has no such limit; take it out where your records exceed it"
+            )
+            return {}
+        largest = float(attributes["forcerange"].split()[1]) if "forcerange" in attributes else math.inf
+        if largest <= min(-low, high):
+            return {}
+        self.notes.append(f"{words} is switched off, the servo's own limit is larger")
+        return {"actuatorfrclimited": "false"}
 
     def _shaft(self, joint: Joint, name: str, found: Attributes) -> None:
         """The rotor of a coupled motor: a fixed tendon as long as the rotor's angle behind its own gear."""

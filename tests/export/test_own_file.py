@@ -379,15 +379,30 @@ def test_a_urdf_becomes_an_mjcf(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(
         """<robot name="r"><link name="base"/><link name="rod"><inertial><origin xyz="0 0 -0.1"/><mass value="0.4"/>
 <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.0003"/></inertial></link>
-<joint name="lift" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>"""
+<joint name="lift" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+<limit effort="1" velocity="5"/></joint></robot>"""
     )
     (tmp_path / "model.yaml").write_text("robot: {file: arm.urdf}\n")
     system = load_model(tmp_path / "model.yaml")
     exported = to_mjcf(system, step=2.5e-4)
     assert "MuJoCo made an MJCF of it" in exported.notes[0]
+    assert "lift: its actuatorfrcrange, -1 to 1 N m, stays" in exported.notes[1]
     assert mujoco_model(exported).dof_armature[0] == pytest.approx(system.parameter("J_m_lift").spec.value)
     data = waves(system, [0.3], ["tau1"])
     assert max(row.apart for row in agreement(system, exported, data)) < 2e-3
+
+
+def test_a_joints_own_limit_of_torque_is_said(tmp_path: Path) -> None:
+    text = ARM.replace('armature="0.01"', 'armature="0.01" actuatorfrcrange="-0.1 0.1"')
+    exported = to_mjcf(arm(tmp_path, text=text))
+    assert "elbow: its actuatorfrcrange, -0.1 to 0.1 N m, stays" in exported.notes[0]
+    loop = "components: [{place: elbow/input, kind: position_servo, parameters: {k_p: 5, k_d: 0.2, tau_max: %s}}]"
+    for largest, off in ((0.1, False), (0.3, True)):
+        system = arm(tmp_path, "robot: {file: arm.xml}\n" + loop % largest, text)
+        exported = to_mjcf(system)
+        assert [off] == [any("is switched off, the servo's own limit" in one for one in exported.notes)]
+        assert off == ('actuatorfrclimited="false"' in exported.text)
+        assert apart(system, waves(system, [0.4, 0.5], ["goal1", "goal2"])) < 2e-3
 
 
 def test_an_included_joint_is_refused_and_an_included_rest_is_kept(tmp_path: Path) -> None:
