@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -10,11 +10,13 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares, lsq_linear, nnls
 
+from hybrid_id.components.base import Friction
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.components.transmission.backlash import Backlash
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
+Laws = Sequence[tuple[str, Friction]]
 
 STIFF = 2.0 * np.pi * 60.0
 """Angular frequency [rad/s] of rotor against link from which on play ends in MuJoCo's limits, below in a spring."""
@@ -23,7 +25,11 @@ NARROWEST = 1e-6
 SLACK = 0.3
 """Share of a soft play's damping in contact that acts all along in MuJoCo, which has no damper with a dead band."""
 WORTH_SAYING = 0.01
-"""Share of a law's largest torque from which on its curve is said to differ."""
+"""Share of a law's torque from which on its curve is said to differ."""
+NEAR_REST = 0.02
+"""Share of a law's largest torque that is added to it where it weighs a miss: next to nothing is no measure."""
+MOST_RAMPS = 16
+"""Ramps that carry one direction of a friction at most."""
 SUPPLY = 24.0
 """Voltage [V] whose no-load speed bounds the speeds, and whose stall torque bounds the deflections, that are fitted."""
 
@@ -75,47 +81,64 @@ class FrictionCurve:
 def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> FrictionCurve:
     """The friction of a place over speeds up to ``top_speed`` [rad/s], both directions averaged."""
     where, laws = f"{joint.name}/{place}", joint.frictions[place]
-    speeds = torch.tensor(np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 80)]) * top_speed)
-    forwards = [torch.full_like(speeds, side) for side in (1.0, 0.0)]
-    zero = torch.zeros_like(speeds)
-
-    def total(terms: list) -> np.ndarray:
-        return sum((t for t in terms if t is not None), zero).detach().numpy()
-
-    levels = [total([law.dry(p[key], speeds, side) for key, law in laws]) for side in forwards]
-    smooth = [side * total([law.smooth(p[key], side * speeds) for key, law in laws]) for side in (1.0, -1.0)]
-    v = speeds.numpy() / top_speed
+    v = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 80)])
+    levels, smooth = _sampled(laws, p, top_speed * v)
+    both = [dry + rest for dry, rest in zip(levels, smooth, strict=True)]
+    weights = _weights(v, both)
     features = np.stack([(v > 0).astype(float), v, v**2, v**3], 1)
-    target = 0.5 * (smooth[0] + smooth[1])
-    found, _ = nnls(features, target)
-    found[found < 1e-9 * target.max(initial=0.0)] = 0.0
+    target, even = 0.5 * (smooth[0] + smooth[1]), np.sqrt(v)  # samples are dense where it is slow
+    size = target.max() or 1.0  # nnls has a tolerance that knows no size
+    found = size * nnls(features * even[:, None], target * even / size)[0]
+    found[found < 1e-9 * size] = 0.0
     level, fall, stribeck = _gaussian(v, 0.5 * (levels[0] + levels[1]))
     curve = features @ found + level + fall * np.exp(-((v / stribeck) ** 2))
-    both = [dry + rest for dry, rest in zip(levels, smooth, strict=True)]
-    most = max(float(torque.max()) for torque in both)
-    bristled = any(isinstance(law, Bristle) for _, law in laws)
     bias, ramps = float(np.trapezoid(0.5 * (both[0] - both[1]), v)), []
     misses = [torque - side * bias - curve for torque, side in zip(both, (1, -1), strict=True)]
-    if not bristled and _largest(misses) > WORTH_SAYING * most:
+    bristled = any(isinstance(law, Bristle) for _, law in laws)
+    if not bristled and _largest(misses, weights)[0] > WORTH_SAYING:
         found[0], level, fall = 0.0, 0.5 * (levels[0][0] + levels[1][0]), 0.0
         bias = 0.5 * (levels[0][0] - levels[1][0])
-        for side, torque in zip((1, -1), both, strict=True):
-            forces, misses[side < 0] = _ramps(v, torque - features @ found - level - side * bias, most)
+        for k, side in enumerate((1, -1)):
+            forces, misses[k] = _ramps(v, both[k] - features @ found - level - side * bias, weights[k])
             ramps += [(side * force, side * top_speed * knot) for knot, force in forces.items()]
-    notes, miss = [], _largest(misses)
-    if miss > WORTH_SAYING * most:
+    notes, (share, miss, at) = [], _largest(misses, weights)
+    if share > WORTH_SAYING:
         notes.append(
-            f"{where}: MuJoCo's friction is up to {miss:.2g} N m ({100 * miss / most:.0f} % of its largest value) off "
-            "the model's curve, which is not that of a bristle there"
+            f"{where}: MuJoCo's friction is up to {100 * share:.2g} % off the model's curve, {miss:.2g} N m at "
+            f"{top_speed * v[at]:.2g} rad/s"
         )
+    most = max(float(torque.max()) for torque in both)
     still_growing = max((abs(force) for force, end in ramps if abs(end) >= 0.999 * top_speed), default=0.0)
     if still_growing > WORTH_SAYING * most:
         notes.append(
             f"{where}: what grows with speed in one direction alone does so up to {top_speed:.3g} rad/s only"
         )
-    bristle = None
+    bristle, more = _bristle(laws, p)
+    a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
+    coulomb = level + float(found[0])
+    edges = coulomb, coulomb + fall, stribeck * top_speed
+    return FrictionCurve((a, b, c), *edges, bristle, bias, tuple(ramps), (*notes, *more))
+
+
+def _sampled(laws: Laws, p: Views, at: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Dry levels and smooth torques [N m] at speeds [rad/s], forwards and backwards, ``(n,)`` each."""
+    speeds = torch.tensor(at)
+    zero = torch.zeros_like(speeds)
+
+    def total(terms: list) -> np.ndarray:
+        return sum((t for t in terms if t is not None), zero).detach().numpy()
+
+    forwards = [torch.full_like(speeds, side) for side in (1.0, 0.0)]
+    levels = [total([law.dry(p[key], speeds, side) for key, law in laws]) for side in forwards]
+    smooth = [side * total([law.smooth(p[key], side * speeds) for key, law in laws]) for side in (1.0, -1.0)]
+    return levels, smooth
+
+
+def _bristle(laws: Laws, p: Views) -> tuple[tuple[float, float] | None, list[str]]:
+    """Stiffness and damping of the laws' bristle, and sentences on what the laws have beside their curves."""
+    bristle, notes = None, []
     for key, law in laws:
-        terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], zero)
+        terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], torch.zeros(1))
         if any(term is not None for term in terms):
             notes.append(left_out(key, "MuJoCo's dry friction knows neither load nor angle"))
         own, missing = law.mjcf(p[key])
@@ -123,25 +146,44 @@ def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> Fric
             bristle = float(own["bristle"][0]), float(own["bristle"][1])
         if missing:
             notes.append(noted(key, missing))
-    a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
-    coulomb = level + float(found[0])
-    edges = coulomb, coulomb + fall, stribeck * top_speed
-    return FrictionCurve((a, b, c), *edges, bristle, bias, tuple(ramps), tuple(notes))
+    return bristle, notes
 
 
-def _largest(misses: list[np.ndarray]) -> float:
-    """Largest difference of two curves in motion."""
-    return max(float(np.abs(miss[1:]).max()) for miss in misses)
+def _weights(v: np.ndarray, both: list[np.ndarray]) -> list[np.ndarray]:
+    """Weights [1/(N m)] of misses, ``(n,)`` for each direction: a miss counts as a share of the torque there.
+
+    Drag at top speed is no measure for a drive that starts. Where the torque is next to nothing a share of what slow
+    motion meets is added, of what rises above the straight line from rest to top speed.
+    """
+    slow = max(float((torque - v * torque[-1]).max()) for torque in both)
+    least = max(NEAR_REST * slow, 1e-9 * float(np.abs(both).max()), 1e-12)
+    return [1.0 / (np.abs(torque) + least) for torque in both]
 
 
-def _ramps(v: np.ndarray, torque: np.ndarray, most: float) -> tuple[dict[float, float], np.ndarray]:
-    """Torques by the speed up to which they grow, whose sum is a curve that starts at 0; and what they miss."""
-    knots = np.geomspace(5e-4, 1.0, 16)
-    shapes = np.minimum(v[:, None] / knots, 1.0)
-    force = lsq_linear(shapes, torque).x
-    kept = np.abs(force) > 2e-3 * most
-    force = lsq_linear(shapes[:, kept], torque).x
-    return dict(zip(knots[kept].tolist(), force.tolist(), strict=True)), torque - shapes[:, kept] @ force
+def _largest(misses: list[np.ndarray], weights: list[np.ndarray]) -> tuple[float, float, int]:
+    """Largest difference of two curves in motion, as a share of the torque there and in N m; number of its sample."""
+    shares = [np.abs(miss[1:]) * weight[1:] for miss, weight in zip(misses, weights, strict=True)]
+    side = int(shares[1].max() > shares[0].max())
+    at = int(shares[side].argmax()) + 1
+    return float(shares[side].max()), float(np.abs(misses[side][at])), at
+
+
+def _ramps(v: np.ndarray, torque: np.ndarray, weight: np.ndarray) -> tuple[dict[float, float], np.ndarray]:
+    """Torques by the speed up to which they grow, whose sum is a curve that starts at 0; and what they miss.
+
+    Their sum is straight between those speeds; each further one is set where straight lines between the others miss
+    most.
+    """
+    knots = [0, v.size - 1]
+    while True:
+        shapes = np.minimum(v[:, None] / v[knots[1:]], 1.0)
+        force = lsq_linear(shapes * weight[:, None], torque * weight).x
+        miss = torque - shapes @ force
+        if len(knots) > MOST_RAMPS or (np.abs(miss) * weight).max() <= WORTH_SAYING:
+            acts = (np.abs(shapes * force) * weight[:, None]).max(0) > 1e-3 * WORTH_SAYING
+            return dict(zip(v[knots[1:]][acts].tolist(), force[acts].tolist(), strict=True)), miss
+        straight = torque - np.interp(v, v[knots], torque[knots])
+        knots = sorted([*knots, int((np.abs(straight) * weight).argmax())])
 
 
 def _gaussian(v: np.ndarray, level: np.ndarray) -> tuple[float, float, float]:
@@ -226,7 +268,7 @@ def elasticity(joint: Joint, p: Views, torque: float) -> Elasticity:
     starts = np.concatenate([[0.0], np.geomspace(3e-3, 0.9, 16) * reach])
     ramps = np.maximum(x[:, None] - starts, 0.0)
     # small torques count, too: a gear is rarely wound far
-    weight = 1.0 / (np.abs(target) + 0.02 * np.abs(target).max())
+    weight = 1.0 / (np.abs(target) + NEAR_REST * np.abs(target).max())
     found = lsq_linear(ramps * weight[:, None], target * weight).x
     error = float((np.abs(ramps @ found - target) * weight).max())
     springs = {float(s): float(k) for s, k in zip(starts, found, strict=True) if k != 0.0}

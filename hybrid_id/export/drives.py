@@ -24,8 +24,8 @@ HARD = "0.99 0.999 0.001"
 """Impedance of constraints that hardly give way."""
 DRY = {"solreffriction": "0.0005 1", "solimpfriction": "0.9999 0.9999 0.001"}
 """Dry friction that holds: at MuJoCo's largest impedance, with less of which an arm creeps under its weight."""
-TOP_SPEED = 500.0
-"""Speed [rad/s] of a rotor up to which friction is fitted where no back-EMF bounds it."""
+TOP_SPEED, JOINT_SPEED = 500.0, 30.0
+"""Speeds [rad/s] of a rotor and of its joint up to which friction is fitted where no back-EMF bounds them."""
 
 COMMANDS = {"V": "voltage [V]", "A": "current [A]", "N m": "torque [N m]"}
 """What a motor's command is, by its unit."""
@@ -88,7 +88,9 @@ class Drives:
         label, r = self.label(joint), joint.gear_ratio
         key, part = joint.drive.motor
         servo = self.closes(joint)
-        top = SUPPLY / max(float(self.p[key].P_m2), 1e-3) if isinstance(part, DCMotor) else TOP_SPEED
+        top = min(TOP_SPEED, JOINT_SPEED * r)
+        if isinstance(part, DCMotor):
+            top = SUPPLY / max(float(self.p[key].P_m2), 1e-3)
         rotor = friction_curve(joint, "motor_friction", self.p, top)
         side = friction_curve(joint, "link_friction", self.p, top / r)
         self.notes += [*rotor.notes, *side.notes]
