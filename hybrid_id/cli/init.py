@@ -181,7 +181,7 @@ def _read(files: "Sequence[LogFile]") -> "tuple[list[Log], list[str]]":
 
 def _seen_from(model: "ProposedModel", folder: Path) -> "ProposedModel":
     """The model with its robot's file as seen from the folder."""
-    from hybrid_id.systems.proposed_model import seen_from
+    from hybrid_id.systems.model_file import seen_from
 
     if "robot" not in model.values:
         return model

@@ -303,7 +303,7 @@ class Arm:
             return dict(u)
         like, inner = next(iter(u.values())), {f"link{joint.parent + 1}" for joint in self.tree.joints}
         found = {
-            f"{group}{LOAD}{k}": torch.as_tensor(row).to(like).expand_as(like)
+            f"{group}{LOAD}{k}": torch.as_tensor(row, dtype=like.dtype, device=like.device).expand_as(like)
             for group, rows in self._carried(self.tree, u).groups.items()
             if group not in inner or group in self._groups
             for k, row in enumerate(rows)

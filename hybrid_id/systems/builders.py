@@ -163,13 +163,10 @@ def started(tree: RigidBodyTree) -> list[TreeJoint]:
     drives of an arm are of a size; and where there is no damping either, that starts as one that stops the joint
     within a time (:data:`ROTOR_SHARE`, :data:`STOPPED_WITHIN`).
     """
-    still = [0.0] * len(tree.joints)
-    whole = tree.mass_matrix(tree.poses(still), tree.inertias())
-    carried = [float(whole[k][k]) for k in range(len(still))]
     found = []
-    for joint, own in zip(tree.joints, carried, strict=True):
+    for joint, own in zip(tree.joints, tree.at_zero, strict=True):
         if not joint.armature:
-            alike = zip(tree.joints, carried, strict=True)
+            alike = zip(tree.joints, tree.at_zero, strict=True)
             rotor = ROTOR_SHARE * max(mass for other, mass in alike if other.kind == joint.kind)
             joint = replace(joint, armature=rotor, damping=joint.damping or (rotor + own) / STOPPED_WITHIN)
         found.append(joint)

@@ -236,10 +236,11 @@ class Drive:
                 f"put {' or '.join(sorted(loops))} there, or remove it."
             )
         if motor.takes and source.gives != motor.takes:
-            fits = [k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives]
+            fits = sorted(k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives)
+            inputs = sorted(k for k, c in REGISTRY.items() if issubclass(c, Input) and c.gives == motor.takes)
             raise InputError(
                 f"{source.kind} at {joint}/input gives {source.gives}, but {motor.kind} at {joint}/motor takes "
-                f"{motor.takes}; put {' or '.join(sorted(fits))} there."
+                f"{motor.takes}; put {' or '.join(inputs)} at the input, or {' or '.join(fits)} at the motor."
             )
 
     def past(self, sample_time: float) -> dict[str, int]:

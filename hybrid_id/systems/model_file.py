@@ -391,7 +391,7 @@ def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -
         components.append(
             _component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part), units)
         )
-    file = tree.source if folder is None else _seen_from(folder.resolve(), tree.source)
+    file = tree.source if folder is None else seen_from(folder.resolve(), tree.source)
     described = {"file": file} | ({"hold": dict(tree.held)} if tree.held else {})
     couplings = [
         {"joints": [tree.names[k] for k in one.joints], "matrix": [list(row) for row in one.matrix]}
@@ -405,10 +405,11 @@ def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -
     }
 
 
-def _seen_from(folder: Path, file: str) -> str:
+def seen_from(folder: Path, file: str) -> str:
     """A file's name as seen from a folder, so that both can be moved together; whole where no such name leads there."""
+    whole = Path(file)
     try:
-        return Path(os.path.relpath(file, folder)).as_posix()
+        return Path(os.path.relpath(whole.parent.resolve() / whole.name, folder.resolve())).as_posix()
     except ValueError:  # another drive of Windows
         return file
 

@@ -241,7 +241,7 @@ class ModelFile(_Section):
         "joints": "list what sits at a joint under 'components' ({place: elbow/input, kind: position_servo}), a servo "
         "that is known by name under 'servos' (elbow: {preset: sts3215, p: 16})",
         "inertias": "list a body whose inertia is to be estimated under 'components' ({place: wrist/load, kind: "
-        "body_inertia, options: {point: hand}})",
+        "body_inertia, options: {body: hand}})",
     }
     """What to write in the place of keys that one may expect."""
     system: str = Field(default=ROBOT, json_schema_extra=one_of(lambda: [*FLAT, ROBOT]))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from statistics import median
 from typing import Any
+
+import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.proposal import DriveFit
@@ -242,22 +242,25 @@ def _robot(
     drives: Sequence[DriveFacts], sheet: MotorSheet, tree: RigidBodyTree, held: Sequence[str]
 ) -> ProposedModel:
     entry: dict[str, Any] = {"file": tree.source}
+    rest = {joint.name: float(np.clip(0.0, *joint.limits)) for joint in tree.joints if joint.name in held}
     if held:
-        entry["hold"] = dict.fromkeys(held, 0.0)
+        entry["hold"] = rest
     model = ProposedModel({"robot": entry})
-    model.why["robot"] = f"joints in the file's order: {', '.join(drive.joint for drive in drives)}"
+    order = ", ".join(drive.joint for drive in drives)
+    model.why["robot"] = f"joints from the base outwards, as they are numbered: {order}"
     if held:
-        model.why["robot"] += f"; moved by no command in the logs, so held at 0: {', '.join(held)}"
+        stand = ", ".join(f"{name} at {value:.4g}" for name, value in rest.items())
+        model.why["robot"] += f"; moved by no command in the logs, so held: {stand}"
         model.ask(
-            f"Where do the joints {', '.join(held)} stand, which no command moves in the logs? They are held at 0 (rad "
-            "or m)."
+            f"Where do the joints {', '.join(held)} stand, which no command moves in the logs? They are held, {stand} "
+            "(rad or m): at 0, or at the end of their range that is next to it."
         )
     ratios = _ratios(sheet, len(drives))
     if ratios:
         model.values["gear_ratio"], model.why["gear_ratio"] = ratios, "motor's sheet"
     else:
         model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
-    still = tree.holding(dict.fromkeys(held, 0.0)) if held else tree
+    still = tree.holding(rest) if held else tree
     gears = {joint.name: abs(joint.gear) for joint in still.joints if joint.gear not in (0.0, 1.0)}
     if gears and not ratios:
         words = ", ".join(f"{gear:g} at {name}" for name, gear in gears.items())
@@ -267,14 +270,13 @@ def _robot(
             "taken: torques and motors are those at the joints. Else give gear_ratio in --motor.",
             f"gear_ratio: [{line}]",
         )
-    mass = still.mass_matrix(still.poses([0.0] * len(still.joints)), still.inertias())
     servos: dict[str, dict[str, Any]] = {}
     placeholders: dict[str, list[str]] = {}
     late: list[str] = []
     joints = started(still)
     for k, (drive, joint) in enumerate(zip(drives, joints, strict=True)):
         ratio = ratios[k] if ratios else 1.0
-        start = _start(drive, sheet, ratio, (float(mass[k][k]) + joint.armature) / ratio**2)
+        start = _start(drive, sheet, ratio, (still.at_zero[k] + joint.armature) / ratio**2)
         other_gains = _other_gains(drive, joint, _lag_of_same(drives, joints, joint))
         own = joint.servo is not None and other_gains is None
         if drive.command == "goal" and sheet.servo:
@@ -423,8 +425,3 @@ def _add(model: ProposedModel, components: Sequence[tuple[dict[str, Any], str]])
         listed.append(entry)
     if not listed:
         del model.values["components"]
-
-
-def seen_from(folder: Path, file: str) -> str:
-    """A file's name as seen from a folder, so that both can be moved together."""
-    return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()

@@ -312,6 +312,18 @@ def test_a_joint_whose_goal_rests_is_held_and_its_load_drives_nothing(run, tmp_p
     assert "Where do the joints elbow_flex stand, which no command moves" in " ".join(done.out.split())
 
 
+def test_a_joint_that_cannot_stand_at_zero_is_held_at_the_end_of_its_range(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    names = ("time", "shoulder_pan.pos", "shoulder_pan.goal")
+    of = (lambda t, g, q: t, lambda t, g, q: q, lambda t, g, q: g)
+    folder = one_joint(tmp_path / "logs", dict(zip(names, of, strict=True)))
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators="").replace("-1.7 1.7", "0.9 1.7"))
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert written(folder)[1]["robot"]["hold"] == {"elbow_flex": 0.9}
+    assert "elbow_flex at 0.9" in " ".join(done.out.split())
+
+
 def test_a_joint_that_swings_is_not_held_whatever_its_logged_goal_does(run, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hybrid_id.components import FloorContact, JointFlexibility, LinearSpring, Stribeck
 from hybrid_id.components.input.delay import CommonDelay, Delay
@@ -97,6 +98,13 @@ def test_a_joint_moves_as_in_the_whole_arm(tmp_path: Path, joint: str) -> None:
     for row, record in zip(found, data.records, strict=True):
         measured = record.outputs[f"q_m{k + 1}"]
         assert np.abs(row - measured).max() < 0.01 * np.ptp(measured)
+
+
+def test_what_a_joint_carries_is_known_to_the_last_digit(tmp_path: Path) -> None:
+    one = alone(arm(tmp_path), 2)
+    zeros = {name: torch.zeros(3, dtype=torch.float64) for name in one.input_names}
+    carried = {float(values[0]) for values in one.arm.with_loads(zeros).values()}
+    assert {0.2, 9.81} <= carried  # mass [kg] and gravity [m/s^2], which single precision cannot hold
 
 
 def test_a_joint_that_stands_still_has_no_speed_of_rounding(tmp_path: Path) -> None:

@@ -199,7 +199,7 @@ components:
         ),
         (
             "robot: {file: arm.xml}\ncomponents: [{place: lift/motor, kind: dc_motor}]\n",
-            "torque_command at lift/input gives N m, but dc_motor at lift/motor",
+            "torque_command at lift/input gives N m, but dc_motor at lift/motor takes V; put duty_supply or ",
         ),
         ("robot: {file: arm.xml}\ngear_ratio: 5\n", "a list with one number for each joint; write"),
         ("robot: {file: arm.xml, base: floating}\n", "base"),

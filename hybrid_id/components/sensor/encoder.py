@@ -15,7 +15,7 @@ MOST = 0.5 * math.pi
 
 
 class MotorEncoder(Sensor):
-    """Motor-side encoder ``y = q_m + offset`` [rad], which a servo's position loop reads, too.
+    """Motor-side encoder ``y = q_m + offset`` [rad], which a position loop at the motor reads, too.
 
     | symbol | unit | meaning |
     | --- | --- | --- |
@@ -33,7 +33,7 @@ class MotorEncoder(Sensor):
 
 
 class LinkEncoder(MotorEncoder):
-    """Link-side encoder ``y = q_a + offset`` [rad], which a servo's position loop reads, too."""
+    """Link-side encoder ``y = q_a + offset`` [rad], which a position servo reads, too."""
 
     kind = "link_encoder"
     at_motor = False
