@@ -373,7 +373,8 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
                 "check its unit"
             )
             yield Finding("warning", "scale", words, record.name, name)
-    noise = float(np.median([noise_of(record, name) for record in dataset]))
+    levels = [noise_of(record, name) for record in dataset if record.n_samples >= KNOWN]
+    noise = float(np.median(levels)) if levels else 0.0
     if channel.noise_std and noise and not 1 / 3 < noise / channel.noise_std < 3:
         words = (
             f"{name}: noise_std is {channel.noise_std:.2g} in the dataset file but the records show {noise:.2g}; "
@@ -384,6 +385,8 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
         yield Finding("error" if senseless else "warning", "noise_std", words, channel=name)
 
 
+KNOWN = 24
+"""Samples of a record from which its noise is known well enough to doubt a declared one."""
 TOO_SURE = 1000.0
 """Noise of the records over the declared one from which every fit would follow the noise."""
 MIN_SAMPLES = 200
