@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -392,7 +392,13 @@ class _Edit(Drives):
         turned = known.kind == "hinge" and self._in_degrees()
         if turned and "springref" in found:
             found["springref"] = number(math.degrees(float(found["springref"])))
-        self.text.put(element, _changed(found, known, turned=turned))
+        at = int(self.model.joint(known.name).dofadr[0])
+        alone = replace(  # without what its actuators bring along
+            known,
+            armature=float(self.model.dof_armature[at]),
+            damping=float(np.ravel(self.model.dof_damping[at])[0]),
+        )
+        self.text.put(element, _changed(found, alone, turned=turned))
         return self._motor(joint, known, tag, attributes)
 
     def _torque_limit(self, joint: Joint, known: TreeJoint, attributes: Attributes) -> Attributes:
@@ -439,6 +445,9 @@ class _Edit(Drives):
         here = self._known(mine, known)
         if here is not None and (new := self._kept(joint, mine, here, tag, attributes)) is not None:
             named = {} if "name" in mine[0].values else {"name": attributes["name"]}
+            # the drive's rotor and friction stand at the joint
+            brought = {"armature": self.model.actuator_armature, "damping": self.model.actuator_damping}
+            new |= {name: "0" for name, values in brought.items() if values[here.id]}
             if named or new:
                 self.text.put(mine[0], named | new)
             return (mine[0].values | named)["name"]

@@ -238,6 +238,7 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
         raise InputError(f"{path}: a joint of body '{body}' has no name; give it one.")
     _refuse_signs(path, mujoco, model, j, name)
+    _refuse_actuators(path, mujoco, model, j, name)
     return TreeJoint(
         name=name,
         kind="slide" if slide else "hinge",
@@ -245,8 +246,9 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         rotation=constant(rotation.tolist()),
         position=_vector(position),
         limits=(low, high) if limited else (-float("inf"), float("inf")),
-        armature=float(model.dof_armature[at]),
-        damping=float(np.ravel(model.dof_damping[at])[0]),
+        armature=float(model.dof_armature[at]) + _of_actuators(mujoco, model, j, model.actuator_armature),
+        damping=float(np.ravel(model.dof_damping[at])[0])
+        + _of_actuators(mujoco, model, j, model.actuator_damping),
         friction_loss=float(model.dof_frictionloss[at]),
         stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
@@ -257,15 +259,32 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
 
 
 def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
-    """Refuse a joint whose friction or loop no machine has, and a second actuator, which would be dropped."""
+    """Refuse a joint whose friction no machine has."""
     at = int(model.jnt_dofadr[j])
-    for word, size in (("damping", model.dof_damping), ("frictionloss", model.dof_frictionloss)):
-        if (value := float(np.ravel(size[at])[0])) < 0.0:
+    own = float(np.ravel(model.dof_damping[at])[0]) + _of_actuators(mujoco, model, j, model.actuator_damping)
+    for word, value in (("damping", own), ("frictionloss", float(model.dof_frictionloss[at]))):
+        if value < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
     for word, further in (("damping", model.dof_dampingpoly[at]), ("stiffness", model.jnt_stiffnesspoly[j])):
         if np.any(further):
             raise InputError(
                 f"{path}: {word} of joint '{name}' is a polynomial, which is not simulated; keep its first number."
+            )
+
+
+def _refuse_actuators(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
+    """Refuse a second actuator at a joint, which would be dropped, and what of one is not simulated."""
+    for i in _acting(mujoco, model, j):
+        if np.any(model.actuator_dampingpoly[i]):
+            raise InputError(
+                f"{path}: damping of the actuator of joint '{name}' is a polynomial, which is not simulated; keep its "
+                "first number."
+            )
+        if delay := float(model.actuator_delay[i]):
+            raise InputError(
+                f"{path}: the actuator of joint '{name}' has a delay, which is not read from here; take it out and "
+                f"list {{place: {name}/input, kind: delay, parameters: {{T_d: {delay:g}}}}} among the components of "
+                "model.yaml."
             )
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     by_angle, by_speed = model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2]
@@ -317,6 +336,11 @@ def _acting(mujoco: Any, model: Any, j: int) -> list[int]:
     """Numbers of the actuators at a joint."""
     at = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return [int(i) for i in np.flatnonzero(at & (model.actuator_trnid[:, 0] == j))]
+
+
+def _of_actuators(mujoco: Any, model: Any, j: int, values: np.ndarray) -> float:
+    """Armature or damping that the actuators of a joint bring along, seen at the joint."""
+    return sum(float(model.actuator_gear[i][0] ** 2 * values[i]) for i in _acting(mujoco, model, j))
 
 
 def _motor_gear(mujoco: Any, model: Any, j: int) -> float:

@@ -136,7 +136,9 @@ components:
   - {place: elbow/motor_friction, kind: lugre, parameters: {sigma_0: 100, sigma_1: 0.1}}
   - {place: elbow/load, kind: constant_torque, parameters: {T_0: 0.1}}
 """
-    system = arm(tmp_path, drives, ARM.replace("<default>", f"<default><general {reach}/>", 1))
+    own = 'kp="50" gear="1" damping="0" armature="0" delay="0" nsample="0"'
+    text = ARM.replace("<default>", f"<default><general {reach}/>", 1).replace('kp="50"', own)
+    system = arm(tmp_path, drives, text)
     system = system.with_values({"F_c_elbow": 0.05})
     assert apart(system, waves(system, [6.0, 0.3], ["u1", "tau2"])) < 5e-3
 
@@ -310,6 +312,22 @@ def test_gear_and_limits_of_an_actuator_are_kept(
     assert mujoco_model(exported).nu == 2
     command = "goal1" if actuator.startswith("<position") else "tau1"
     assert apart(system, waves(system, [0.3 / ratio, 0.1], [command, "tau2"])) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    ['<motor name="m" joint="lift" gear="2"/>', '<position name="m" joint="lift" gear="2" kp="5" kv="1"/>'],
+)
+def test_rotor_and_damping_of_an_actuator_are_once_in_the_file(tmp_path: Path, actuator: str) -> None:
+    own = actuator.replace("/>", ' armature="0.01" damping="0.02"/>')
+    system = arm(tmp_path, text=re.sub("<position.*/>", own, ARM))
+    exported = to_mjcf(system)
+    model = mujoco_model(exported)
+    assert 'armature="0" damping="0"' in exported.text and not model.actuator_armature.any()
+    assert model.dof_armature[0] == pytest.approx(0.02 + 4 * 0.01)
+    assert np.ravel(model.dof_damping[0])[0] == pytest.approx(0.1 + 4 * 0.02)
+    command = "goal1" if "position" in actuator else "tau1"
+    assert apart(system, waves(system, [0.3, 0.1], [command, "tau2"])) < 2e-3
 
 
 def test_an_actuator_that_is_kept_says_that_it_takes_a_current(tmp_path: Path) -> None:

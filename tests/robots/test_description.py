@@ -7,7 +7,7 @@ import pytest
 from hybrid_id.errors import InputError
 from hybrid_id.robots.description import load_tree
 
-pytest.importorskip("mujoco")
+mujoco = pytest.importorskip("mujoco")
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 BODY = (
@@ -127,6 +127,52 @@ def test_what_limits_and_damps_a_servo_beside_its_own_element(tmp_path):
     clipped = pair.replace('kv="10"', 'kv="10" forcerange="-1 1"')
     with pytest.raises(InputError, match="velocity actuator beside another one at joint 'turn'"):
         load_tree(described(tmp_path, arm(), clipped))
+
+
+@pytest.mark.parametrize(
+    ("actuators", "rest"),
+    [
+        ('<motor joint="turn" armature="0.3" damping="0.2" gear="2"/>', ""),
+        (
+            '<position joint="turn" kp="5" armature="0.3" damping="0.2"/><velocity joint="turn" armature="0.1"/>',
+            "",
+        ),
+        (
+            '<motor joint="turn" class="big"/>',
+            '<default class="big"><motor armature="0.3" damping="0.2"/></default>',
+        ),
+    ],
+    ids=["motor", "two", "class"],
+)
+def test_armature_and_damping_of_actuators_act_at_the_joint_as_in_mujoco(tmp_path, actuators, rest):
+    joint = '<joint name="turn" axis="0 1 0" armature="0.05" damping="0.4"/>'
+    rest = f"<default>{rest}</default><actuator>{actuators}</actuator>"
+    path = described(tmp_path, arm(joint), rest)
+    (found,) = load_tree(path).joints
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1.0
+    mujoco.mj_forward(model, data)
+    carried = 0.1 + 1.0 * 0.1**2
+    assert carried + found.armature == pytest.approx(float(data.M[0]), rel=1e-12)
+    assert -found.damping == pytest.approx(float(data.qfrc_passive[0]), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "words"),
+    [
+        ('damping="0.1 0.2 0"', "damping of the actuator of joint 'turn' is a polynomial"),
+        ('damping="-1"', "damping of joint 'turn' is -1; give 0 or more"),
+        (
+            'delay="0.01" nsample="5"',
+            r"joint 'turn' has a delay.* \{place: turn/input, kind: delay, .*T_d: 0.01\}\}",
+        ),
+    ],
+)
+def test_what_an_actuator_brings_along_and_is_not_simulated_is_refused(tmp_path, attribute, words):
+    actuator = f'<actuator><motor joint="turn" {attribute}/></actuator>'
+    with pytest.raises(InputError, match=words):
+        load_tree(described(tmp_path, arm(), actuator))
 
 
 def test_gravity_may_be_switched_off_and_nothing_else(tmp_path):
