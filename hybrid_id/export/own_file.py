@@ -450,6 +450,11 @@ class _Edit(Drives):
             new |= {name: "0" for name, values in brought.items() if values[here.id]}
             if named or new:
                 self.text.put(mine[0], named | new)
+            for brake in mine[1:]:
+                self.text.replace(brake, "")
+                self.notes.append(
+                    f"{known.name}: its {brake.tag} brakes it, and is part of the joint's damping"
+                )
             return (mine[0].values | named)["name"]
         command = commanded(joint)
         if self.closes(joint):

@@ -247,8 +247,7 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         position=_vector(position),
         limits=(low, high) if limited else (-float("inf"), float("inf")),
         armature=float(model.dof_armature[at]) + _of_actuators(mujoco, model, j, model.actuator_armature),
-        damping=float(np.ravel(model.dof_damping[at])[0])
-        + _of_actuators(mujoco, model, j, model.actuator_damping),
+        damping=_damping(mujoco, model, j),
         friction_loss=float(model.dof_frictionloss[at]),
         stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
@@ -261,8 +260,8 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
 def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
     """Refuse a joint whose friction no machine has."""
     at = int(model.jnt_dofadr[j])
-    own = float(np.ravel(model.dof_damping[at])[0]) + _of_actuators(mujoco, model, j, model.actuator_damping)
-    for word, value in (("damping", own), ("frictionloss", float(model.dof_frictionloss[at]))):
+    damping, dry = _damping(mujoco, model, j), float(model.dof_frictionloss[at])
+    for word, value in (("damping", damping), ("frictionloss", dry)):
         if value < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
     for word, further in (("damping", model.dof_dampingpoly[at]), ("stiffness", model.jnt_stiffnesspoly[j])):
@@ -286,21 +285,17 @@ def _refuse_actuators(path: Path, mujoco: Any, model: Any, j: int, name: str) ->
                 f"list {{place: {name}/input, kind: delay, parameters: {{T_d: {delay:g}}}}} among the components of "
                 "model.yaml."
             )
-    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    by_angle, by_speed = model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2]
-    # a loop of the speed alone, a brake, may stand beside another one
-    brake = affine & (by_angle == 0.0) & (by_speed != 0.0)
-    driving = [i for i in _acting(mujoco, model, j) if not brake[i]]
+    driving, brakes = _driving(mujoco, model, j)
     if len(driving) > 1:
         raise InputError(
             f"{path}: joint '{name}' has {len(driving)} actuators, of which one can drive it; keep that one."
         )
-    for i in _acting(mujoco, model, j):
-        if driving and brake[i] and model.actuator_forcelimited[i]:
-            raise InputError(
-                f"{path}: the velocity actuator beside another one at joint '{name}' has a forcerange of its own, "
-                "which is not simulated; give the damping as kv of the other one."
-            )
+    if any(model.actuator_forcelimited[i] for i in brakes):
+        raise InputError(
+            f"{path}: the velocity actuator that brakes joint '{name}' has a forcerange of its own, which is not "
+            "simulated; give the damping as that of the joint."
+        )
+    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     for i in driving:
         stiffness = float(model.actuator_gainprm[i][0])
         if affine[i] and stiffness <= 0.0:
@@ -334,8 +329,28 @@ def _speed_limits(path: Path) -> dict[str, float]:
 
 def _acting(mujoco: Any, model: Any, j: int) -> list[int]:
     """Numbers of the actuators at a joint."""
-    at = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    trn = mujoco.mjtTrn  # of a hinge or slide both are the same
+    at = np.isin(model.actuator_trntype, (int(trn.mjTRN_JOINT), int(trn.mjTRN_JOINTINPARENT)))
     return [int(i) for i in np.flatnonzero(at & (model.actuator_trnid[:, 0] == j))]
+
+
+def _driving(mujoco: Any, model: Any, j: int) -> tuple[list[int], list[int]]:
+    """Numbers of the actuators that drive a joint, and of those that brake it: by its speed alone, whatever it is told.
+
+    A loop of the speed brakes where another actuator drives the joint; alone it drives.
+    """
+    own = _acting(mujoco, model, j)
+    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    constant, by_angle, by_speed = model.actuator_biasprm[:, :3].T
+    speed_alone = affine & (constant == 0.0) & (by_angle == 0.0) & (by_speed != 0.0)
+    driving = [i for i in own if not speed_alone[i]] or [i for i in own if model.actuator_gainprm[i][0]]
+    return driving, [i for i in own if i not in driving]
+
+
+def _brake(mujoco: Any, model: Any, j: int) -> float:
+    """Damping at a joint by the actuators that brake it [N m s/rad or N s/m]."""
+    _, brakes = _driving(mujoco, model, j)
+    return 0.0 - sum(float(model.actuator_gear[b][0] ** 2 * model.actuator_biasprm[b][2]) for b in brakes)
 
 
 def _of_actuators(mujoco: Any, model: Any, j: int, values: np.ndarray) -> float:
@@ -343,13 +358,20 @@ def _of_actuators(mujoco: Any, model: Any, j: int, values: np.ndarray) -> float:
     return sum(float(model.actuator_gear[i][0] ** 2 * values[i]) for i in _acting(mujoco, model, j))
 
 
+def _damping(mujoco: Any, model: Any, j: int) -> float:
+    """Damping at a joint [N m s/rad or N s/m]: its own, its actuators', and their brakes where no servo has these."""
+    own = float(np.ravel(model.dof_damping[int(model.jnt_dofadr[j])])[0])
+    brake = 0.0 if _servo(mujoco, model, j) else _brake(mujoco, model, j)
+    return own + _of_actuators(mujoco, model, j, model.actuator_damping) + brake
+
+
 def _motor_gear(mujoco: Any, model: Any, j: int) -> float:
-    """Gear of a joint's only actuator where its command alone makes its force; else 1."""
-    own = _acting(mujoco, model, j)
+    """Gear of the actuator that drives a joint, where its command alone makes its force; else 1."""
     fixed = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtDyn.mjDYN_NONE
-    if len(own) != 1:
+    driving, _ = _driving(mujoco, model, j)
+    if not driving:
         return 1.0
-    (i,) = own
+    (i,) = driving
     plain = (model.actuator_gaintype[i], model.actuator_biastype[i], model.actuator_dyntype[i]) == fixed
     return float(model.actuator_gear[i][0]) if plain else 1.0
 
@@ -368,7 +390,7 @@ def _torque_limit(mujoco: Any, model: Any, j: int) -> float:
 
 def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
     """The position loop of a joint: an actuator whose force is ``kp (ctrl - l) - kv l'``, ``l`` the gear times q."""
-    for i in _acting(mujoco, model, j):
+    for i in _driving(mujoco, model, j)[0]:
         stiffness, (constant_part, by_angle, by_speed) = (
             model.actuator_gainprm[i][0],
             model.actuator_biasprm[i][:3],
@@ -380,10 +402,7 @@ def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
             limit = _torque_limit(mujoco, model, j)
             least, most = (float(end) / gear for end in model.actuator_ctrlrange[i])
             goals = (least, most) if model.actuator_ctrllimited[i] else None
-            # by the speed alone, or they were refused
-            brakes = (b for b in _acting(mujoco, model, j) if b != i)
-            damping = sum(model.actuator_gear[b][0] ** 2 * model.actuator_biasprm[b][2] for b in brakes)
-            damping = 0.0 - gear**2 * float(by_speed) - float(damping)  # no -0.0
+            damping = _brake(mujoco, model, j) - gear**2 * float(by_speed)
             return Servo(gear**2 * float(stiffness), damping, None if np.isinf(limit) else limit, goals)
     return None
 

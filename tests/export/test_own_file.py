@@ -330,6 +330,17 @@ def test_rotor_and_damping_of_an_actuator_are_once_in_the_file(tmp_path: Path, a
     assert apart(system, waves(system, [0.3, 0.1], [command, "tau2"])) < 2e-3
 
 
+def test_a_brake_beside_a_motor_is_damping_and_is_taken_out(tmp_path: Path) -> None:
+    own = '<motor name="m" joint="lift"/><velocity name="brake" joint="lift" kv="0.5" gear="2"/>'
+    system = arm(tmp_path, text=re.sub("<position.*/>", own, ARM))
+    exported = to_mjcf(system)
+    model = mujoco_model(exported)
+    assert "lift: its velocity brakes it, and is part of the joint's damping" in exported.notes
+    assert exported.motors[0] == "m" and model.nu == 2
+    assert np.ravel(model.dof_damping[0])[0] == pytest.approx(0.1 + 4 * 0.5)
+    assert apart(system, waves(system, [0.3, 0.1], ["tau1", "tau2"])) < 2e-3
+
+
 def test_an_actuator_that_is_kept_says_that_it_takes_a_current(tmp_path: Path) -> None:
     driven = "{place: lift/input, kind: current_command}, "
     driven += "{place: lift/motor, kind: current_motor, parameters: {k_t: 2}}"

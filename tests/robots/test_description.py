@@ -125,8 +125,27 @@ def test_what_limits_and_damps_a_servo_beside_its_own_element(tmp_path):
     assert found.servo is not None
     assert (found.servo.stiffness, found.servo.damping, found.servo.largest) == (100.0, 10.0, 5.0)
     clipped = pair.replace('kv="10"', 'kv="10" forcerange="-1 1"')
-    with pytest.raises(InputError, match="velocity actuator beside another one at joint 'turn'"):
+    with pytest.raises(InputError, match="velocity actuator that brakes joint 'turn' has a forcerange"):
         load_tree(described(tmp_path, arm(), clipped))
+
+
+@pytest.mark.parametrize(
+    ("actuators", "gear"),
+    [
+        ('<motor joint="turn" gear="3"/><velocity joint="turn" kv="5" gear="2"/>', 3.0),
+        ('<velocity jointinparent="turn" kv="5"/><motor joint="turn"/>', 1.0),
+        ('<general joint="turn" gainprm="0" biastype="affine" biasprm="0 0 -5"/>', 1.0),
+    ],
+    ids=["gear", "first", "alone"],
+)
+def test_what_brakes_a_joint_that_a_torque_drives_is_damping(tmp_path, actuators, gear):
+    path = described(tmp_path, arm(), f"<actuator>{actuators}</actuator>")
+    (found,) = load_tree(path).joints
+    data = mujoco.MjData(model := mujoco.MjModel.from_xml_path(str(path)))
+    data.qvel[:] = 1.0
+    mujoco.mj_forward(model, data)
+    assert found.servo is None and found.gear == gear
+    assert -found.damping == pytest.approx(float(data.qfrc_actuator[0]), rel=1e-12)
 
 
 @pytest.mark.parametrize(
