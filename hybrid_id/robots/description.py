@@ -295,13 +295,30 @@ def _refuse_actuators(path: Path, mujoco: Any, model: Any, j: int, name: str) ->
             f"{path}: the velocity actuator that brakes joint '{name}' has a forcerange of its own, which is not "
             "simulated; give the damping as that of the joint."
         )
-    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     for i in driving:
-        stiffness = float(model.actuator_gainprm[i][0])
-        if affine[i] and stiffness <= 0.0:
+        affine = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
+        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
+        stiffness, by_angle = float(model.actuator_gainprm[i][0]), float(model.actuator_biasprm[i][1])
+        if affine and fixed and by_angle == -stiffness and stiffness <= 0.0:
             raise InputError(
                 f"{path}: kp of the actuator of joint '{name}' is {stiffness:g}; give more than 0."
             )
+        if _acts_by_angle(mujoco, model, i) and _servo(mujoco, model, j) is None:
+            raise InputError(
+                f"{path}: the actuator of joint '{name}' acts by the angle in another way than a <position> that has "
+                "kp, kv and a gear above 0, and no timeconst, which alone is simulated; make it one, or take it out."
+            )
+
+
+def _acts_by_angle(mujoco: Any, model: Any, i: int) -> bool:
+    """Whether the force of an actuator depends on the angle where it acts, the cogging of a motor left out."""
+    gain = mujoco.mjtGain(int(model.actuator_gaintype[i]))
+    if gain == mujoco.mjtGain.mjGAIN_AFFINE:
+        by_gain = model.actuator_gainprm[i][1] != 0.0
+    else:
+        by_gain = gain not in (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_DCMOTOR)
+    affine = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
+    return bool(by_gain or (affine and model.actuator_biasprm[i][1] != 0.0))
 
 
 def _speed_limits(path: Path) -> dict[str, float]:

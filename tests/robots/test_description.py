@@ -194,6 +194,35 @@ def test_what_an_actuator_brings_along_and_is_not_simulated_is_refused(tmp_path,
         load_tree(described(tmp_path, arm(), actuator))
 
 
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<position joint="turn" kp="5" timeconst="0.1"/>',
+        '<position joint="turn" kp="5" gear="-1"/>',
+        '<pid joint="turn" kp="5"/>',
+        '<pid joint="turn" kp="5" kv="1" ki="2"/>',
+        '<intvelocity joint="turn" kp="5" actrange="-1 1"/>',
+        '<general joint="turn" gainprm="0" biastype="affine" biasprm="0 -5 0"/>',
+        '<general joint="turn" gainprm="5" biastype="affine" biasprm="1 -5 0"/>',
+    ],
+)
+def test_a_loop_of_the_angle_that_is_not_simulated_is_refused(tmp_path, actuator):
+    with pytest.raises(InputError, match="the actuator of joint 'turn' acts by the angle in another way"):
+        load_tree(described(tmp_path, arm(), f"<actuator>{actuator}</actuator>"))
+
+
+def test_a_damper_that_is_commanded_is_no_loop_of_the_angle(tmp_path):
+    actuator = '<actuator><damper joint="turn" kv="5" ctrlrange="0 1"/></actuator>'
+    (found,) = load_tree(described(tmp_path, arm(), actuator)).joints
+    assert found.servo is None and found.damping == 0.0
+
+
+def test_a_servo_in_the_frame_of_the_parent_is_one_of_the_joint(tmp_path):
+    actuator = '<actuator><position jointinparent="turn" gear="2" kp="5" kv="0.1"/></actuator>'
+    (found,) = load_tree(described(tmp_path, arm(), actuator)).joints
+    assert found.servo is not None and (found.servo.stiffness, found.servo.damping) == (20.0, 0.4)
+
+
 def test_gravity_may_be_switched_off_and_nothing_else(tmp_path):
     off = '<option gravity="0 0 -9.81"><flag {}="disable"/></option>'
     assert [float(g) for g in load_tree(described(tmp_path, arm(), off.format("gravity"))).gravity] == [
