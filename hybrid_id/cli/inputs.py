@@ -88,12 +88,17 @@ def checked_records(config: StudyConfig) -> "Dataset":
 
 
 def read_model(path: Path) -> "System":
-    """A model file's system; rotors that its robot's description lacks and gears that it has are said."""
+    """A model file's system; masses and rotors that its robot's description lacks and gears that it has are said."""
     from hybrid_id.records.yaml_file import read_yaml
     from hybrid_id.systems.builders import geared, without_rotor
     from hybrid_id.systems.model_file import load_model
 
     system = load_model(path)
+    if system.tree is not None and (light := system.tree.massless):
+        remark(
+            f"{Path(system.tree.source).name} gives no mass for {', '.join(light)}: taken as massless, but for "
+            "payloads that the model lists; give each an <inertial> there"
+        )
     if (bare := without_rotor(system)) and system.tree is not None:
         remark(
             f"{Path(system.tree.source).name} gives no armature for {', '.join(bare)}: these rotors are taken at a "

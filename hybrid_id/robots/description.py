@@ -81,7 +81,7 @@ def read_spec(path: Path) -> Any:
 def compiled(path: Path, spec: Any) -> Any:
     """MuJoCo's model of a specification; ``path`` is for messages."""
     spec.compiler.fusestatic = False  # bodies keep their names
-    # a body without a mass is one whose inertia is to be estimated; MuJoCo wants some
+    # a joint may move links without a mass where it is held, or carries others; MuJoCo wants some
     spec.compiler.boundmass = max(spec.compiler.boundmass, MASSLESS)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, MASSLESS)
     try:
@@ -215,13 +215,19 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
             points[name] = Point(joint, _vector(position), constant(rotation.tolist()))
     if not joints:
         raise InputError(f"{path}: it has no joint that moves; give the description of an arm.")
-    return RigidBodyTree(
+    tree = RigidBodyTree(
         tuple(joints),
         tuple(bodies),
         constant_vector(_gravity(mujoco, model)),
         points,
         source=str(path.resolve()),
     )
+    if max(own + joint.armature for own, joint in zip(tree.at_zero, joints, strict=True)) <= MASSLESS:
+        raise InputError(
+            f"{path}: no joint has an inertia to move (bodies {', '.join(body.name for body in bodies)}); give each "
+            "body its mass and inertia as <inertial>."
+        )
+    return tree
 
 
 def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose) -> TreeJoint:

@@ -420,6 +420,12 @@ class RigidBodyTree:
         mass = self.mass_matrix(self.poses([0.0] * len(self.joints)), self.inertias())
         return tuple(_number(mass[k][k]) for k in range(len(self.joints)))
 
+    @property
+    def massless(self) -> tuple[str, ...]:
+        """Bodies that a joint moves without any mass but what further joints carry."""
+        rigid = self.inertias()
+        return tuple(body.name for body in self.bodies if _number(rigid[body.joint].mass) == 0.0)
+
     def coupling(self, joint: int) -> GearCoupling | None:
         """The gear that couples a joint's motor with others, by the joint's number from 0; None without one."""
         return next((one for one in self.couplings if joint in one.joints), None)

@@ -283,6 +283,16 @@ def test_rotors_that_a_description_lacks_are_said(run, arm: Path, tmp_path: Path
     assert "bare.xml gives no armature for base, joint 1/x, tip: these rotors are taken at a tenth" in words
 
 
+def test_links_without_a_mass_are_said(run, arm: Path) -> None:
+    text = (arm / "arm.xml").read_text()
+    last = text.rindex("<inertial")
+    (arm / "light.xml").write_text(text[:last] + text[text.index("/>", last) + 2 :])
+    (arm / "light.yaml").write_text("robot: {file: light.xml}\n")
+    words = " ".join(run("check", arm, "--model", arm / "light.yaml").err.split())
+    assert "light.xml gives no mass for body3: taken as massless, but for payloads" in words
+    assert "gives no mass" not in run("check", arm, "--model", arm / "model.yaml").err
+
+
 def test_check_counts_base_parameters_and_says_how_they_are_excited(run, arm: Path) -> None:
     done = run("check", arm, "--model", arm / "model.yaml")
     words = " ".join(done.out.split())

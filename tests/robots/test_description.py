@@ -257,10 +257,24 @@ def test_the_so101_has_six_joints_under_their_own_names(file):
     )  # fmt: skip
 
 
-def test_a_link_without_an_inertia_is_one_to_be_estimated(tmp_path):
-    inside = '<body name="tip"><joint name="wrist" axis="0 0 1"/></body>'
-    tree = load_tree(described(tmp_path, arm(inside=inside)))
-    assert tree.inertias()[1].mass == 0.0
+def test_links_without_a_mass_are_named(tmp_path):
+    tip = '<body name="tip">{}<joint name="wrist" axis="0 0 1"/><body name="pin"/></body>'
+    tree = load_tree(described(tmp_path, arm(inside=tip.format(""))))
+    assert tree.inertias()[1].mass == 0.0 and tree.massless == ("tip", "pin")
+    weight = '<inertial mass="0.1" pos="0 0 0" diaginertia="1e-4 1e-4 1e-4"/>'
+    assert not load_tree(described(tmp_path, arm(inside=tip.format(weight)))).massless
+    with pytest.raises(
+        InputError, match=r"no joint has an inertia to move \(bodies tip, pin\); .*<inertial>"
+    ):
+        load_tree(described(tmp_path, tip.format("")))
+    on_axis = weight.replace("1e-4 1e-4 1e-4", "0 0 0")
+    with pytest.raises(InputError, match="no joint has an inertia to move"):
+        load_tree(described(tmp_path, tip.format(on_axis)))
+    driven = '<actuator><motor joint="wrist" armature="0.1"/></actuator>'
+    assert load_tree(described(tmp_path, tip.format(""), driven)).massless == ("tip", "pin")
+
+
+def test_the_joints_of_the_tx40_are_read():
     path = SHARED / "staubli_tx40" / "tx40_mdh_modified.urdf"
     if not path.exists():
         pytest.skip("the shared data are not beside the project")
