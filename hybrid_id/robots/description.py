@@ -136,6 +136,14 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
     for tendon in spec.tendons:
         if words := _gear(mujoco, tendon):
             raise InputError(f"{path}: tendon '{tendon.name or 'without a name'}' {words}")
+    for one in spec.equalities:
+        # MuJoCo makes a URDF's <mimic> one, without a name
+        if one.type == mujoco.mjtEq.mjEQ_JOINT and one.name2 and not one.name:
+            raise InputError(
+                f"{path}: joint '{one.name1}' follows joint '{one.name2}' (by <mimic> in a URDF), which is not "
+                f"supported; take that out and hold the joint in model.yaml, 'robot: {{file: {path.name}, hold: "
+                f"{{{one.name1}: 0.0}}}}' with its angle."
+            )
     for kind, elements in (("tendon", spec.tendons), ("equality constraint", spec.equalities)):
         if elements:
             name = elements[0].name or "without a name"

@@ -6,6 +6,7 @@ import pytest
 
 from hybrid_id.errors import InputError
 from hybrid_id.robots.description import load_tree
+from hybrid_id.systems.model_file import load_model
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -73,6 +74,27 @@ def test_a_urdf_joint_that_is_not_supported_is_named(tmp_path):
     )
     with pytest.raises(InputError, match="joint 'wrist' of body 'hand' is a free joint"):
         load_tree(path)
+
+
+def test_a_joint_that_mimics_another_is_named_and_can_be_held(tmp_path):
+    link = (
+        '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+    )
+    joint = '<joint name="{}" type="continuous"><parent link="base"/><child link="{}"/><axis xyz="0 1 0"/>{}</joint>'
+    mimic = '<mimic joint="thumb" multiplier="2"/>'
+    parts = link.format("one") + link.format("two") + joint.format("thumb", "one", "")
+    path = tmp_path / "hand.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="base"/>{parts}{joint.format("finger", "two", mimic)}</robot>'
+    )
+    with pytest.raises(
+        InputError, match=r"joint 'finger' follows joint 'thumb' .*<mimic>.*hold: {finger: 0.0}"
+    ):
+        load_tree(path)
+    path.write_text(path.read_text().replace(mimic, ""))
+    (tmp_path / "model.yaml").write_text("robot: {file: hand.urdf, hold: {finger: 0.0}}\n")
+    assert [joint.number for joint in load_model(tmp_path / "model.yaml").joints] == [1]
 
 
 def test_entities_are_refused_unread(tmp_path):
