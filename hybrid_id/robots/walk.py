@@ -125,7 +125,6 @@ class _Walk:
             raise InputError(
                 f"{self.main}: it begins with neither <mujoco> nor <robot>; give an MJCF or URDF file."
             )
-        self.strip = tag == "robot"
 
     def _element(self, path: Path, tag: str, values: dict[str, str], times: float) -> None:
         """Count an element, and keep what it says of files."""
@@ -172,9 +171,11 @@ class _Walk:
     def assets(self) -> None:
         """See that every mesh, texture and the like that is there lies below the description, and is a file."""
         for tag, name in sorted(self.named):
-            own = name.replace("\\", "/").rsplit("/", 1)[-1] if self.strip else name
+            own = name.replace("\\", "/")
+            own = own.rsplit("/", 1)[-1] if self.strip else own
             for folder in self.folders["texture" if tag == "texture" else "mesh"]:
-                place = self.main.parent / folder / own
+                # MuJoCo steps back by the name alone, whether the folders in it are there or not
+                place = self.main.parent / os.path.normpath(Path(folder, own))
                 if not _is_there(place):
                     continue
                 self._inside(place, f"{self.main}: the file {name} of a <{tag}>")
