@@ -445,9 +445,19 @@ def _body(mujoco: Any, model: Any, b: int, joint: int, pose: Pose) -> Body:
     inertia = SpatialInertia.about_centre(
         float(mass), constant_vector(model.body_ipos[b]), _numbers(about_centre)
     )
-    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b) or f"body{b}"
     rotation, position = pose
-    return Body(name, joint, constant(rotation.tolist()), _vector(position), inertia)
+    return Body(_body_name(mujoco, model, b), joint, constant(rotation.tolist()), _vector(position), inertia)
+
+
+def _body_name(mujoco: Any, model: Any, b: int) -> str:
+    """A body's name; of one without a name its number, told from what others are called by a sign."""
+    kind = mujoco.mjtObj.mjOBJ_BODY
+    if name := mujoco.mj_id2name(model, kind, b):
+        return name
+    name = f"body{b}"
+    while mujoco.mj_name2id(model, kind, name) >= 0:
+        name += "_"
+    return name
 
 
 def _rotation(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:

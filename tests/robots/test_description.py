@@ -279,6 +279,13 @@ def test_the_so101_has_six_joints_under_their_own_names(file):
     )  # fmt: skip
 
 
+def test_no_body_is_lost_to_another_of_the_name_that_it_is_given(tmp_path):
+    inside = BODY.format(name="body1", joint="", inside=BODY.format(name="body1_", joint="", inside=""))
+    tree = load_tree(described(tmp_path, arm(inside=inside).replace(' name="link"', "")))
+    assert [body.name for body in tree.bodies] == ["body1__", "body1", "body1_"]
+    assert tree.inertias()[0].mass == 3.0
+
+
 def test_links_without_a_mass_are_named(tmp_path):
     tip = '<body name="tip">{}<joint name="wrist" axis="0 0 1"/><body name="pin"/></body>'
     tree = load_tree(described(tmp_path, arm(inside=tip.format(""))))
