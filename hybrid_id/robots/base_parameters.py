@@ -89,9 +89,9 @@ def base_parameters(tree: RigidBodyTree, seed: int = 0) -> BaseParameters:
         seed: of the states.
     """
     n, rng = len(tree.joints), np.random.default_rng(seed)
-    limits = np.clip([joint.limits for joint in tree.joints], -np.pi, np.pi)
+    low, high = np.array([_reach(*joint.limits) for joint in tree.joints]).T
     count = STATES * (len(TEN) + 1)
-    q = rng.uniform(limits[:, 0], limits[:, 1], (count, n))
+    q = rng.uniform(low, high, (count, n))
     v, a = rng.standard_normal((2, count, n))
     w = whole_regressor(tree, q, v, a).reshape(count * n, -1)
     symbols = [*TEN, ROTOR]
@@ -116,6 +116,13 @@ def base_parameters(tree: RigidBodyTree, seed: int = 0) -> BaseParameters:
     grouping = np.where(np.abs(grouping - near) < 1e-7, near, grouping)
     silent = tuple(name for name, row in zip(names, grouping.T, strict=True) if not row.any())
     return BaseParameters(names, tuple(independent), grouping, silent)
+
+
+def _reach(low: float, high: float) -> tuple[float, float]:
+    """A joint's range [rad or m], of at most one turn: no angle beyond it tells more."""
+    if np.isinf(low):
+        low = min(-np.pi, high - 2.0 * np.pi)
+    return low, min(high, low + 2.0 * np.pi)
 
 
 def inertial_parameters(tree: RigidBodyTree) -> np.ndarray:

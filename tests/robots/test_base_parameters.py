@@ -56,6 +56,18 @@ def chain(joints, gravity="0 0 -9.81"):
     return f'<mujoco><option gravity="{gravity}"/><worldbody>{text}{ends}</worldbody></mujoco>'
 
 
+@pytest.mark.parametrize("limits", ["3.3 5.2", "-5.2 -3.3", "-1 1", "-9 9"])
+def test_the_number_does_not_depend_on_where_the_range_lies(tmp_path, limits):
+    joints = [("0 1 0", "0 0 0"), ("0 1 0", "0.4 0 0")]
+    free = chain(joints)
+    within = free.replace('type="hinge"', f'type="hinge" range="{limits}"')
+    counts = []
+    for text in (free, within.replace("<mujoco>", '<mujoco><compiler angle="radian"/>')):
+        (tmp_path / "robot.xml").write_text(text)
+        counts.append(len(base_parameters(load_tree(tmp_path / "robot.xml")).independent))
+    assert counts[0] == counts[1]
+
+
 PUMA = [
     ("0 0 1", "0 0 0"), ("0 1 0", "0 0.1 0.3"), ("0 1 0", "0.4 0 0"), ("1 0 0", "0.4 0.05 0.02"), ("0 1 0", "0 0 0"),
     ("1 0 0", "0 0 0"),
