@@ -479,6 +479,12 @@ class _Edit(Drives):
             for one in map(self.model.actuator, range(self.model.nu))
             if int(one.trntype[0]) in AT_JOINT and int(one.trnid[0]) == joint
         ]
+        by_itself = self.model.actuator_armature, self.model.actuator_damping, self.model.actuator_biastype
+        if len(acting) > len(mine) and any(values[one.id] for one in acting for values in by_itself):
+            raise InputError(
+                f"{self.path}: an actuator of joint '{known.name}' stands in a file that this one includes, and acts "
+                "without a command (armature, damping or a loop), beside the drive; move it into this file."
+            )
         return acting[0] if mine and len(acting) == len(mine) else None
 
     def _kept(

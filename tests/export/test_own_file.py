@@ -330,6 +330,14 @@ def test_rotor_and_damping_of_an_actuator_are_once_in_the_file(tmp_path: Path, a
     assert apart(system, waves(system, [0.3, 0.1], [command, "tau2"])) < 2e-3
 
 
+@pytest.mark.parametrize("apart", ['<position joint="lift" kp="5"/>', '<motor joint="lift" armature="0.1"/>'])
+def test_an_included_actuator_that_acts_by_itself_is_refused(tmp_path: Path, apart: str) -> None:
+    (tmp_path / "act.xml").write_text(f"<mujocoinclude><actuator>{apart}</actuator></mujocoinclude>")
+    text = re.sub("<position.*/>", "", ARM).replace("<option", '<include file="act.xml"/><option')
+    with pytest.raises(InputError, match="actuator of joint 'lift' stands in a file that this one includes"):
+        to_mjcf(arm(tmp_path, text=text))
+
+
 def test_a_brake_beside_a_motor_is_damping_and_is_taken_out(tmp_path: Path) -> None:
     own = '<motor name="m" joint="lift"/><velocity name="brake" joint="lift" kv="0.5" gear="2"/>'
     system = arm(tmp_path, text=re.sub("<position.*/>", own, ARM))
