@@ -61,7 +61,11 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
     spec, text = read_spec(path), path.read_bytes().decode("utf-8")
     if converted := _Text(text).root == "robot":
         _untouched_base(spec)
-        text = spec.to_xml()
+        try:
+            text = spec.to_xml()
+        except ValueError as error:  # of a link without an inertia, say
+            words = ", ".join(str(error).splitlines()[:2])
+            raise InputError(f"{path}: MuJoCo makes no MJCF of it ({words}); mend it there.") from None
     exported = _Edit(system, tree, path, text, spec, step).build(converted=converted)
     try:
         mujoco_model(exported)

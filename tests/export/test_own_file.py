@@ -161,6 +161,20 @@ def test_angles_are_in_the_unit_that_an_included_file_gives(tmp_path: Path) -> N
     assert float(model.qpos_spring[1]) == pytest.approx(0.3)
 
 
+def test_a_urdf_of_which_mujoco_makes_no_mjcf_is_refused(tmp_path: Path) -> None:
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    joint = (
+        '<joint name="{}" type="continuous"><parent link="{}"/><child link="{}"/><axis xyz="0 1 0"/></joint>'
+    )
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="r"><link name="base"/><link name="l1">{body}</link><link name="l2"/>'
+        f"{joint.format('j1', 'base', 'l1')}{joint.format('j2', 'l1', 'l2')}</robot>"
+    )
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.urdf}\n")
+    with pytest.raises(InputError, match=r"arm.urdf: MuJoCo makes no MJCF of it \(.*mass and inertia.*'l2'"):
+        to_mjcf(load_model(tmp_path / "model.yaml"))
+
+
 def test_the_base_of_a_urdf_does_not_touch_the_first_link(tmp_path: Path) -> None:
     """Links that a joint connects do not touch; MuJoCo makes the base a part of the world, which touches all."""
     body = '<inertial><mass value="0.4"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>'
