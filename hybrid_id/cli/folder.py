@@ -254,8 +254,10 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
     if path.exists() and not force:
         both = "" if beside is None else " to replace both"
         raise InputError(f"{which} exists; give another name than {named.name}, or --force{both}")
-    if path.name in (*RESULTS, "model.yaml") and path.exists():
-        raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+    if path.name in (*RESULTS, "model.yaml", "dataset.yaml") and path.exists():
+        raise InputError(
+            f"{path} belongs to a dataset or to earlier results, which nothing replaces; give another name"
+        )
     announce(path)
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise InputError(f"{which} is a link or no regular file; give the name of a file of its own")

@@ -173,7 +173,10 @@ def _read(files: "Sequence[LogFile]") -> "tuple[list[Log], list[str]]":
     kinds = [frozenset(log.columns) for log in read]
     usual = max(kinds, key=lambda kind: (kinds.count(kind), len(kind)))
     fit = [log for log, kind in zip(read, kinds, strict=True) if kind >= usual]
-    left += [f"{log.file.title}: its columns are others" for log in read if log not in fit]
+    for log in read:
+        if log not in fit:
+            faults = [why for name, why in log.left.items() if name in usual]
+            left.append(f"{log.file.title}: {faults[0] if faults else 'its columns are others'}")
     return [
         replace(log, columns={n: log.columns[n] for n in fit[0].columns if n in usual}) for log in fit
     ], left

@@ -512,8 +512,11 @@ class _Joint:
             guess = Guess(about, said or "rad", words, bool(said))
         else:
             (log,) = self.evidence.liveliest(angle.column)
-            goal, moved = float(np.ptp(log.columns[column.name])), float(np.ptp(angle.values(log)))
-            guess = goal_unit(goal, moved, abs(angle.factor), angle.column, about)
+            goal, moved = log.columns[column.name], angle.values(log)
+            of = (
+                np.ptp if np.ptp(goal) > 0.0 else lambda signal: abs(np.mean(signal))
+            )  # one that rests has a place
+            guess = goal_unit(float(of(goal)), float(of(moved)), abs(angle.factor), angle.column, about)
         chosen.guesses.append(guess)
         if angle is not None and guess.value == "same":
             doubted = any(one.about == f"unit of {angle.name}" and not one.sure for one in angle.guesses)

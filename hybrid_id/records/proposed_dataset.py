@@ -22,6 +22,8 @@ CLEAR = 0.1
 """Time [s] that is kept off an end stop."""
 LEAST_PART = 0.5
 """Share of a record that a cut at an end stop has to leave; where it would leave less, the stop is asked about only."""
+BACKWARD = 0.1
+"""Share of the steps of a column up to which it is time that goes back somewhere, and not another quantity."""
 LEAST_FOR_TEST, MANY = 3, 5
 """Records from which the last one tests the model, and from which the last two do."""
 
@@ -47,7 +49,10 @@ def propose(
     proposal.left += [(name, why) for name, why in logs[0].left.items()]
     clock = {id(log): time.factor * log.columns[time.column] for log in logs}
     evidence = Evidence(logs, clock, words, sheet, proposal)
-    groups = _groups(words, time.column, evidence)
+    for name, why in logs[0].left.items():
+        if read_name(name, names).kind:
+            evidence.ask(f"Is '{name}' needed? It is left out: {why}.")
+    groups = _groups(words, time.column, evidence, names)
     placed = _place(groups, joints, proposal)
     found = [find_pair(joint.name if joint else key, groups[key], joint, evidence) for key, joint in placed]
     pairs = [pair for pair in found if pair is not None]
@@ -213,6 +218,15 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     other = [name for name in fits if not words[name].kind and not words[name].counter]
     numbered = [name for name in fits if name.isdigit()]
     if not (column := next(iter([*named, *other, *numbered]), None)):
+        for log, name in ((log, name) for log in logs for name in words if words[name].kind == "time"):
+            values = log.columns[name]
+            if (back := np.flatnonzero(np.diff(values) <= 0.0)).size and back.size < BACKWARD * values.size:
+                k = int(back[0])
+                step = f"from {values[k]:.9g} to {values[k + 1]:.9g} at sample {k + 2}"
+                raise InputError(
+                    f"{log.file.path}: time '{name}' goes {step}, but it must increase; correct or remove that "
+                    "sample, or leave the log out"
+                )
         raise InputError(
             f"{first.file.path} has no column of time: none of {', '.join(list(words)[:12])} increases in even steps; "
             "log the time of each sample"
@@ -224,8 +238,10 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     return time
 
 
-def _groups(words: Mapping[str, ColumnWords], time: str, evidence: Evidence) -> dict[str, list[ColumnWords]]:
-    """Columns by joint, in the order in which the joints are met."""
+def _groups(
+    words: Mapping[str, ColumnWords], time: str, evidence: Evidence, joints: Sequence[str]
+) -> dict[str, list[ColumnWords]]:
+    """Columns by joint, in the order in which the joints are met; ``joints`` are the robot's, by name."""
     groups: dict[str, list[ColumnWords]] = {}
     for name, one in words.items():
         if name != time and one.kind != "time" and not (one.counter and not one.kind):
@@ -235,6 +251,10 @@ def _groups(words: Mapping[str, ColumnWords], time: str, evidence: Evidence) -> 
     named = [key for key in keys if key and any(_is_output(one) for one in groups[key])]
     if not named:  # one joint, whatever its columns are called
         return {"": [*common, *(one for some in groups.values() for one in some)]}
+    for key in [key for key in groups if key in joints and key not in named]:
+        for one in groups.pop(key):
+            evidence.leave(one.name, f"of {key}, for which there is no angle and no speed")
+        evidence.ask(f"Joint '{key}' has no angle and no speed in the logs. Is there one under another name?")
     if len(named) == 1:
         others = [one for key in groups if key not in named for one in groups[key]]
         return {named[0]: [*groups[named[0]], *common, *others]}

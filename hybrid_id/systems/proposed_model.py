@@ -92,11 +92,15 @@ def propose_model(
 def _ratios(sheet: MotorSheet, joints: int) -> list[float]:
     given = sheet.gear_ratio
     found = [] if given is None else [given] * joints if isinstance(given, int | float) else list(given)
-    if found and (len(found) != joints or min(found) <= 0):
+    if found and len(found) != joints:
+        moved = "the one joint that moves" if joints == 1 else f"each of the {joints} joints that move"
         raise InputError(
-            f"gear_ratio {given} of the motor's sheet must be positive: one number, or one for each of {joints} "
-            "joints; of a gear that turns the joint the other way round, leave out the sign, and give the motor's "
-            "angle and its command 'scale: -1' in dataset.yaml"
+            f"gear_ratio {given} of the motor's sheet has {len(found)} numbers; give one for {moved}"
+        )
+    if found and min(found) <= 0:
+        raise InputError(
+            f"gear_ratio {given} of the motor's sheet must be positive; of a gear that turns the joint the other way "
+            "round, leave out the sign, and give the motor's angle and its command 'scale: -1' in dataset.yaml"
         )
     return [float(one) for one in found]
 
@@ -252,8 +256,8 @@ def _robot(
         stand = ", ".join(f"{name} at {value:.4g}" for name, value in rest.items())
         model.why["robot"] += f"; moved by no command in the logs, so held: {stand}"
         model.ask(
-            f"Where do the joints {', '.join(held)} stand, which no command moves in the logs? They are held, {stand} "
-            "(rad or m): at 0, or at the end of their range that is next to it."
+            f"Where do joints stand that no command moves in the logs? {stand} (rad or m) is assumed: 0, or the end of "
+            "the range that is next to it; correct 'hold' in model.yaml."
         )
     ratios = _ratios(sheet, len(drives))
     if ratios:

@@ -183,7 +183,7 @@ def test_an_export_replaces_neither_results_nor_its_own_input(run, drive: Path, 
     (folder / "result.json").write_text("{}")
     for out in ("result.xml", "model.yaml"):
         done = run("export", folder, "--to", "mjcf", "--out", folder / out, "--force")
-        assert done.code == 2 and "belongs to earlier results" in done.err
+        assert done.code == 2 and "which nothing replaces" in done.err
     assert (folder / "result.json").read_text() == "{}"
     for out in (".", "/"):
         done = run("export", folder, "--to", "mjcf", "--out", out)

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -309,7 +310,60 @@ def test_a_joint_whose_goal_rests_is_held_and_its_load_drives_nothing(run, tmp_p
         "elbow_flex.pos: of elbow_flex, which is held (elbow_flex.pos is about 0.5): its goal stands still"
         in words
     )
-    assert "Where do the joints elbow_flex stand, which no command moves" in " ".join(done.out.split())
+    assert "Where do joints stand that no command moves in the logs? elbow_flex at 0 (rad or m)" in words
+
+
+def test_a_bad_cell_pairs_no_joints_command_with_another_joints_angle(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))
+    for bad in (range(3), (1,)):
+        folder = tmp_path / f"bad_in_{len(bad)}"
+        folder.mkdir()
+        for seed in range(3):
+            t, goal, angle = swing(seed)
+            parts = {"time": t}
+            for k, name in enumerate(("shoulder_pan", "elbow_flex")):
+                parts |= {f"{name}.position": angle[:, k], f"{name}.torque_cmd": goal[:, k] - angle[:, k]}
+            frame = pd.DataFrame(parts).astype({"shoulder_pan.position": object})
+            if seed in bad:
+                frame.loc[50, "shoulder_pan.position"] = "err"
+            frame.to_csv(folder / f"run{seed}.csv", index=False)
+        done = run("init", folder, "--robot", tmp_path / "arm.xml")
+        assert done.code == 0, done.err
+        data, words = written(folder)[0], " ".join(done.out.split())
+        assert "row 52: column 'shoulder_pan.position' holds 'err'" in words
+        if len(bad) == 3:  # the elbow alone, with its own torque
+            assert data["columns"]["tau1"]["column"] == "elbow_flex.torque_cmd" and len(data["inputs"]) == 1
+            assert "Joint 'shoulder_pan' has no angle and no speed in the logs" in words
+        else:
+            assert len(data["records"]) == 2 and len(data["inputs"]) == 2
+
+
+def test_a_goal_that_rests_where_the_joint_moves_most_has_the_unit_of_its_place(run, tmp_path: Path) -> None:
+    """A joint that is pushed while its goal rests, in degrees; in another log it follows its goal a little."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(PENDULUM.format(low=-1.9, high=1.9, actuator=""))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        moves = seed == 2
+        aim = np.degrees(0.5 + (0.02 * goal[:, 0] if moves else 0.0 * t))
+        table = np.column_stack([t, 0.56 + (0.02 if moves else 0.1) * angle[:, 0], aim])
+        header = "time,elbow.pos_rad,elbow.goal"
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert written(folder)[0]["inputs"] == [{"name": "goal1", "unit": "deg"}]
+
+
+def test_a_stamp_that_repeats_is_told_by_its_sample(run, tmp_path: Path, motions) -> None:
+    folder = write_csv(tmp_path / "x", motions, MS)
+    frame = pd.read_csv(folder / "run2.csv")
+    frame.loc[51, "time"] = frame.loc[50, "time"]
+    frame.to_csv(folder / "run2.csv", index=False)
+    done = run("init", folder)
+    assert done.code == 2 and "run2.csv: time 'time' goes from 100 to 100 at sample 52" in done.err
 
 
 def test_a_joint_that_cannot_stand_at_zero_is_held_at_the_end_of_its_range(run, tmp_path: Path) -> None:
