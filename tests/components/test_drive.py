@@ -105,7 +105,8 @@ def test_motor_must_take_what_its_input_gives() -> None:
     system = DRIVE.with_component("joint1/input", CurrentCommand())
     record = Record("run", STEP * np.arange(20), {"i1": np.zeros(20)}, {"q_m1": np.zeros(20)})
     with pytest.raises(
-        InputError, match="gives A, but dc_motor at joint1/motor takes V; put current_motor there"
+        InputError,
+        match="dc_motor at joint1/motor takes V; put duty_supply or .*, or current_motor at the motor",
     ):
         make_batch(system, [record])
 
