@@ -17,16 +17,26 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
 
     Returns:
         (...): 0 for a perfect simulation, 1 for one that is as good as the mean; +inf for a simulation that
-        diverged (a value that is not finite), nan where the measurement is constant and there is nothing to explain.
+        diverged (a value that is not finite), nan where the measurement is constant, or stays within a count of its
+        encoder, and there is nothing to explain.
     """
     y, simulated = np.asarray(measured, float), np.asarray(simulated, float)
     spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
     # Rounding leaves a constant signal with a spread of about its size times 1e-16.
     constant = spread <= 1e-12 * np.linalg.norm(y, axis=-1)
+    constant |= spread <= _count(y) * y.shape[-1] ** 0.5
     diverged = ~np.all(np.isfinite(simulated), axis=-1)
     error = np.linalg.norm(np.where(np.isfinite(simulated), simulated, 0.0) - y, axis=-1)
     ratio = np.where(diverged, np.inf, error / np.where(constant, 1.0, spread))
     return np.where(constant, np.nan, ratio)
+
+
+def _count(y: np.ndarray) -> np.ndarray:
+    """A count of the encoder by which signals (..., T) step now and then, (...); 0 where most samples differ."""
+    steps = np.abs(np.diff(y, axis=-1))
+    real = steps > 1e-9 * np.ptp(y, axis=-1, keepdims=True)
+    least = np.min(steps, axis=-1, initial=np.inf, where=real)
+    return np.where(np.isfinite(least) & (real.mean(axis=-1) < 0.5), least, 0.0)
 
 
 def rmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:

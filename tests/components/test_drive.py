@@ -106,7 +106,7 @@ def test_motor_must_take_what_its_input_gives() -> None:
     record = Record("run", STEP * np.arange(20), {"i1": np.zeros(20)}, {"q_m1": np.zeros(20)})
     with pytest.raises(
         InputError,
-        match="dc_motor at joint1/motor takes V; put duty_supply or .*, or current_motor at the motor",
+        match=r"dc_motor at joint1/motor takes V; put duty_supply or .*, or current_motor at the motor",
     ):
         make_batch(system, [record])
 

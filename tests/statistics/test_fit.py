@@ -29,6 +29,16 @@ def test_divergence_is_minus_infinity_and_a_constant_measurement_has_no_fit():
     assert np.isnan(fit_percent(np.full(3, 0.1), y))
 
 
+def test_a_joint_that_stays_within_a_count_of_its_encoder_stands_still():
+    count, time = 2 * np.pi / 4096, np.arange(500)
+    rests = 0.57 + count * (time % 97 > 80)
+    assert np.isnan(nrmse(rests, np.full(500, 0.575)))
+    moves = count * np.round(20 * np.sin(0.02 * time))
+    assert nrmse(moves, moves + count) == pytest.approx(count / moves.std())
+    both = nrmse(np.stack([rests, moves]), np.stack([rests, moves]))
+    assert np.isnan(both[0]) and both[1] == 0.0
+
+
 def test_many_simulations_face_one_measurement(rng):
     y, simulated = rng.standard_normal(50), rng.standard_normal((4, 50))
     np.testing.assert_allclose(nrmse(y, simulated), [nrmse(y, one) for one in simulated])
