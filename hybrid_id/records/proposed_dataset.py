@@ -218,15 +218,7 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     other = [name for name in fits if not words[name].kind and not words[name].counter]
     numbered = [name for name in fits if name.isdigit()]
     if not (column := next(iter([*named, *other, *numbered]), None)):
-        for log, name in ((log, name) for log in logs for name in words if words[name].kind == "time"):
-            values = log.columns[name]
-            if (back := np.flatnonzero(np.diff(values) <= 0.0)).size and back.size < BACKWARD * values.size:
-                k = int(back[0])
-                step = f"from {values[k]:.9g} to {values[k + 1]:.9g} at sample {k + 2}"
-                raise InputError(
-                    f"{log.file.path}: time '{name}' goes {step}, but it must increase; correct or remove that "
-                    "sample, or leave the log out"
-                )
+        _refuse_backward(logs, [name for name in words if words[name].kind == "time"])
         raise InputError(
             f"{first.file.path} has no column of time: none of {', '.join(list(words)[:12])} increases in even steps; "
             "log the time of each sample"
@@ -236,6 +228,21 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     time = Chosen("t", column, guess.value, guesses=[Guess("time", column, why, column in named), guess])
     time.factor = TIME_FACTORS[guess.value]
     return time
+
+
+def _refuse_backward(logs: Sequence[Log], columns: Sequence[str]) -> None:
+    """Raise InputError for a column that would be time, did it not repeat or go back somewhere."""
+    for log in logs:
+        for name in columns:
+            values = log.columns[name]
+            back = np.flatnonzero(np.diff(values) <= 0.0)
+            if 0 < back.size < BACKWARD * values.size:
+                k = int(back[0])
+                step = f"from {values[k]:.9g} to {values[k + 1]:.9g} at sample {k + 2}"
+                raise InputError(
+                    f"{log.file.path}: time '{name}' goes {step}, but it must increase; correct or remove that "
+                    "sample, or leave the log out"
+                )
 
 
 def _groups(
@@ -251,13 +258,12 @@ def _groups(
     named = [key for key in keys if key and any(_is_output(one) for one in groups[key])]
     if not named:  # one joint, whatever its columns are called
         return {"": [*common, *(one for some in groups.values() for one in some)]}
-    for key in [key for key in groups if key in joints and key not in named]:
-        for one in groups.pop(key):
-            evidence.leave(one.name, f"of {key}, for which there is no angle and no speed")
-        evidence.ask(f"Joint '{key}' has no angle and no speed in the logs. Is there one under another name?")
+    rest = {
+        key: some for key, some in groups.items() if key in joints and key not in named
+    }  # no other joint's
     if len(named) == 1:
-        others = [one for key in groups if key not in named for one in groups[key]]
-        return {named[0]: [*groups[named[0]], *common, *others]}
+        others = [one for key, some in groups.items() if key not in named and key not in rest for one in some]
+        return {named[0]: [*groups[named[0]], *common, *others]} | rest
     loose = [key for key in groups if key.isdigit() and key not in named]
     if loose and not any(name.isdigit() for name in named) and len(loose) == len(named):
         for key, name in zip(sorted(loose, key=int), named, strict=True):
@@ -268,7 +274,7 @@ def _groups(
         )
     for key in named:
         groups[key] += common
-    return {key: some for key, some in groups.items() if key in named}
+    return {key: some for key, some in groups.items() if key in named or key in rest}
 
 
 def _is_output(one: ColumnWords) -> bool:

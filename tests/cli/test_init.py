@@ -653,3 +653,21 @@ def test_a_ratio_is_that_of_the_joint_which_moves(run, tmp_path: Path) -> None:
     data, model = written(folder)
     assert data["outputs"] == [{"name": "q_a1", "unit": "rad"}] and model["gear_ratio"] == [20.0]
     assert "q_a1" in done.out and "q_m2" not in done.out
+
+
+def test_a_joint_that_stands_still_is_said_to_and_takes_no_part(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        rest = np.full(t.size, 0.5)
+        header = "time,shoulder_pan.pos,shoulder_pan.goal,elbow_flex.pos,elbow_flex.goal"
+        table = np.column_stack([t, angle[:, 0], goal[:, 0], rest, rest])
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    words = " ".join(done.out.split())
+    assert "elbow_flex.pos: stands still in all logs" in words and "has no angle and no speed" not in words
+    assert written(folder)[1]["robot"]["hold"] == {"elbow_flex": 0.0}
