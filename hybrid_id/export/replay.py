@@ -196,9 +196,8 @@ def agreement(
             measured, ours, theirs = (np.concatenate(one) for one in zip(*pieces, strict=True))
             pairs = (ours, theirs), (measured, ours), (measured, theirs)
             scores = [float(nrmse(*pair)) for pair in pairs]
-            if (
-                math.isnan(scores[1]) and np.ptp(measured) > 0.0
-            ):  # within a count: no error relative to a motion
+            # what moves within a count alone has no error relative to its motion
+            if math.isnan(scores[1]) and np.ptp(measured) > 0.0:
                 scores = [math.nan] * 3
             found.append(
                 Agreement(record.name, record.role, name, *scores, rmse=float(rmse(measured, theirs)))

@@ -298,9 +298,8 @@ def _read(
         low, high = (stamp / factor + time.zero for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
         if skew := max(abs(channel.skew) for channel in (*spec.inputs, *spec.outputs)):
-            slack += skew / factor + AROUND * (
-                high - low
-            )  # channels recorded late or early have values there
+            # channels that are recorded late or early have values there
+            slack += skew / factor + AROUND * (high - low)
         table = load_any(
             path,
             wanted,

@@ -35,10 +35,18 @@ def noise_level(y: np.ndarray) -> np.ndarray:
     scale = 0.6745 * np.sqrt(sum(comb(4, k) ** 2 for k in range(5)))
     spread = np.median(np.abs(np.diff(y, n=4, axis=-1)), axis=-1) / scale
     # Without quantisation the smallest step is far below the noise, so that this changes nothing there.
+    return np.maximum(spread, 0.5 * least_step(y)[0])
+
+
+def least_step(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least step between neighbouring samples (..., T), 0 where none changes, and the share that steps, (...) each.
+
+    Of an encoder that moves slowly the least step is a count.
+    """
     steps = np.abs(np.diff(y, axis=-1))
     real = steps > 1e-9 * np.ptp(y, axis=-1, keepdims=True)
-    quantum = np.min(steps, axis=-1, initial=np.inf, where=real)
-    return np.maximum(spread, np.where(np.isfinite(quantum), 0.5 * quantum, 0.0))
+    least = np.min(steps, axis=-1, initial=np.inf, where=real)
+    return np.where(np.isfinite(least), least, 0.0), real.mean(axis=-1)
 
 
 def smooth_derivatives(

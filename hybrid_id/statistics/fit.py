@@ -7,6 +7,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hybrid_id.records.derivatives import least_step
+
+NOW_AND_THEN = 0.5
+"""Share of samples that step up to which the least step of a signal is a count of its encoder."""
+
 
 def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     """Normalised error ``‖y - ŷ‖ / ‖y - mean y‖`` over the last axis.
@@ -24,19 +29,12 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
     # Rounding leaves a constant signal with a spread of about its size times 1e-16.
     constant = spread <= 1e-12 * np.linalg.norm(y, axis=-1)
-    constant |= spread <= _count(y) * y.shape[-1] ** 0.5
+    count, share = least_step(y)
+    constant |= (share < NOW_AND_THEN) & (spread <= count * y.shape[-1] ** 0.5)
     diverged = ~np.all(np.isfinite(simulated), axis=-1)
     error = np.linalg.norm(np.where(np.isfinite(simulated), simulated, 0.0) - y, axis=-1)
     ratio = np.where(diverged, np.inf, error / np.where(constant, 1.0, spread))
     return np.where(constant, np.nan, ratio)
-
-
-def _count(y: np.ndarray) -> np.ndarray:
-    """A count of the encoder by which signals (..., T) step now and then, (...); 0 where most samples differ."""
-    steps = np.abs(np.diff(y, axis=-1))
-    real = steps > 1e-9 * np.ptp(y, axis=-1, keepdims=True)
-    least = np.min(steps, axis=-1, initial=np.inf, where=real)
-    return np.where(np.isfinite(least) & (real.mean(axis=-1) < 0.5), least, 0.0)
 
 
 def rmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:

@@ -457,11 +457,7 @@ def profiles(
         k = chosen.names.index(name)
         errors = plain.std_error[k], robust.std_error[k]
         known = bool(np.isfinite(errors).all()) and min(errors) > 0.0
-        error = (
-            max(errors)
-            if study.input_error is None
-            else float(np.hypot(max(errors), study.input_error[index, k]))
-        )
+        error = float(study.errors_of_fit(index)[k])
         variance = error**2 / plain.inverse_hessian[k, k] if known else plain.noise_variance
         spec, number = chosen.system.parameter(name).spec, count(1)
 

@@ -120,11 +120,13 @@ class Study:
         """
         if self.sets[index].left_early:
             return np.full(len(self.names), np.inf)
-        larger = np.maximum(self.covariances[index].std_error, self.robust[index].std_error)
-        if self.input_error is not None:
-            larger = np.hypot(larger, self.input_error[index])
         free = [name not in self.sets[index].at_bound for name in self.names]
-        return np.where(self.identifiability.claimable & np.array(free), larger, np.inf)
+        return np.where(self.identifiability.claimable & np.array(free), self.errors_of_fit(index), np.inf)
+
+    def errors_of_fit(self, index: int) -> np.ndarray:
+        """The same of every parameter of a set, whether it may be claimed or not, ``(n_parameters,)``."""
+        larger = np.maximum(self.covariances[index].std_error, self.robust[index].std_error)
+        return larger if self.input_error is None else np.hypot(larger, self.input_error[index])
 
     def intervals(self, index: int | None = None) -> np.ndarray:
         """Intervals of a set (default: the selected one), within the bounds of the parameters, ``(n_parameters, 2)``.

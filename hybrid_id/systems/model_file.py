@@ -391,7 +391,7 @@ def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -
         components.append(
             _component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part), units)
         )
-    file = tree.source if folder is None else seen_from(folder.resolve(), tree.source)
+    file = tree.source if folder is None else seen_from(folder, tree.source)
     described = {"file": file} | ({"hold": dict(tree.held)} if tree.held else {})
     couplings = [
         {"joints": [tree.names[k] for k in one.joints], "matrix": [list(row) for row in one.matrix]}
