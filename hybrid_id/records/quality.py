@@ -54,6 +54,8 @@ def worst_first(findings: list[Finding]) -> list[Finding]:
 SPIKE = 12.0  # times noise or quantisation step
 SLIP = 1e-4
 """Spread of an output, relative to that of other records, up to which no wrong unit, but a rest, explains it."""
+ROUNDING = 1e-13
+"""Spread of an output, relative to its largest value, up to which arithmetic and not a motion has made it."""
 RESTS = 3.0
 """Standard deviation of an output over its noise or quantisation step up to which its joint stands still."""
 
@@ -102,13 +104,19 @@ def resting(record: Record) -> tuple[str, ...]:
 
     def still(values: np.ndarray) -> bool:
         fine = max(estimate_noise(values), quantisation_step(values)) if np.ptp(values) else np.inf
-        return float(values.std()) <= RESTS * fine
+        return _spread(values) <= RESTS * fine
 
     joints: dict[str, list[str]] = {}
     for name in record.outputs:
         joints.setdefault(number_of(name), []).append(name)
     rest = [names for names in joints.values() if all(still(record.outputs[name]) for name in names)]
     return () if len(rest) == len(joints) else tuple(name for names in rest for name in names)
+
+
+def _spread(values: np.ndarray) -> float:
+    """Standard deviation of a signal; 0 where only rounding changes it, as it does to one number read many times."""
+    spread = float(values.std())
+    return spread if spread > ROUNDING * float(np.abs(values).max()) else 0.0
 
 
 def _resting(dataset: Dataset) -> Iterator[Finding]:
@@ -175,8 +183,8 @@ def _excitation(record: Record) -> Iterator[Finding]:
 
 def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Severity, str, str]]:
     """Yield (severity, code, words) for one output."""
-    spread = float(values.std())
-    if np.ptp(values) == 0 or spread == 0:  # squares of 1e-300 are nothing
+    spread = _spread(values)
+    if spread == 0:
         # one joint of several, say
         held = any(np.ptp(other) for key, other in record.outputs.items() if key != name)
         words = f"it is {values[0]:g} throughout; check its column and its sensor"
@@ -363,7 +371,7 @@ def _is_line(time: np.ndarray, values: np.ndarray) -> bool:
 def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
     """Compare one output over the records, and its noise with the declared one."""
     name, signals = channel.name, [record.outputs[channel.name] for record in dataset]
-    spreads = np.array([values.std() for values in signals])
+    spreads = np.array([_spread(values) for values in signals])
     usual = np.median(spreads)
     for record, values, spread in zip(dataset, signals, spreads, strict=True):
         moves = spread > max(RESTS * max(estimate_noise(values), quantisation_step(values)), SLIP * usual)

@@ -144,6 +144,15 @@ def test_a_joint_that_rests_in_one_record_has_no_wrong_unit(values: np.ndarray, 
     assert bool(found) == said
 
 
+@pytest.mark.parametrize("change", [0.0, 3e-16 * np.sin(TIME)])
+def test_a_joint_that_always_rests_has_no_wrong_unit(change: np.ndarray) -> None:
+    """The spread of one number read many times is rounding, and so is what is left of it between samples."""
+    rests = [record(str(k), outputs={"q_m1": motion(), "q_m2": np.full(T, 0.25)}) for k in range(3)]
+    rests.append(record("rest", outputs={"q_m1": motion(), "q_m2": np.full(T, 0.7) + change}))
+    channels = ((Channel("u1", "V"),), (Channel("q_m1", "rad"), Channel("q_m2", "rad")))
+    assert "scale" not in codes(check_dataset(Dataset("d", *channels, tuple(rests))))
+
+
 @pytest.mark.parametrize(
     ("change", "code"),
     [
