@@ -10,7 +10,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.reading import refuse_outside
 from hybrid_id.records.align import bring_to
 from hybrid_id.records.files import plain
-from hybrid_id.records.readers import Table, TimeRange, is_bag_folder, load_any, record_name
+from hybrid_id.records.readers import Table, TimeRange, format_of, is_bag_folder, load_any, record_name
 from hybrid_id.records.record import Channel, Record, find_fault, keeps_step
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
@@ -50,7 +50,12 @@ def load_dataset(path: Path, folder: Path | None) -> Content:
         shown = (
             f"only {', '.join(found[:3])}{', ...' if len(found) > 3 else ''}" if found else "no files at all"
         )
-        raise InputError(f"{path} holds no {FILE_NAME} ({shown}); write one, as docs/records.md shows")
+        raise InputError(
+            f"{path} holds no {FILE_NAME} ({shown}); 'hybrid-id init {path}' writes one for its logs, or write it as "
+            "docs/records.md shows"
+        )
+    if path.is_file() and format_of(path) not in (None, "bam"):
+        raise InputError(f"{path} is a log and no dataset; 'hybrid-id init {path}' makes a dataset of it")
     spec = validate(DatasetFile, read_yaml(file), file)
     if not spec.follow_links:
         refuse_outside(file, file.parent, str(file), FOLLOW)

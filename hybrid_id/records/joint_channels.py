@@ -201,6 +201,7 @@ class _Joint:
         column = _drives(self.kinds, self.drive.command, self.evidence)
         assert column is not None
         self._command(column)
+        self._switch()
         self._sign()
         if angle is not None:
             self._side_by_motor()
@@ -481,6 +482,13 @@ class _Joint:
             gain, name = self.kinds["gain"][0], f"gain{number}"
             self.inputs.append(Chosen(name, gain.name, "1", guesses=[_why(name, gain, "gain")]))
             self._supply()
+
+    def _switch(self) -> None:
+        """The switch of the motor, where it is thrown: off, its terminals are open."""
+        for column in self.kinds.get("enable", ())[:1]:
+            if self.evidence.moves(column.name):
+                name = f"enable{self.drive.number}"
+                self.inputs.append(Chosen(name, column.name, "1", guesses=[_why(name, column, "switch")]))
 
     def _supply(self) -> None:
         """The logged supply voltage."""

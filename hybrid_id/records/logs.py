@@ -21,7 +21,7 @@ from hybrid_id.records.readers import (
     load_any,
 )
 
-READ = "CSV, Parquet, MAT, npz, ROS bags and LeRobot datasets"
+READ = "CSV, Parquet, MAT, npz, ROS bags, LeRobot datasets and BAM logs"
 MOST_COLUMNS = 300
 """Columns of one log that are looked at."""
 
@@ -96,7 +96,7 @@ def _below(path: Path) -> list[LogFile]:
     logs = []
     for file in sorted(files, key=lambda file: natural_order(str(file))):
         kind = format_of(file) if file.is_file() or is_bag_folder(file) else None
-        if kind is None or kind == "bam":
+        if kind is None:
             if named:
                 raise InputError(f"{file} is of no format that 'init' reads ({READ}); give one of those")
             continue

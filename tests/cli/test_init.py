@@ -671,3 +671,33 @@ def test_a_joint_that_stands_still_is_said_to_and_takes_no_part(run, tmp_path: P
     words = " ".join(done.out.split())
     assert "elbow_flex.pos: stands still in all logs" in words and "has no angle and no speed" not in words
     assert written(folder)[1]["robot"]["hold"] == {"elbow_flex": 0.0}
+
+
+def test_logs_of_a_servo_bench_keep_their_switch(run, tmp_path: Path, motions) -> None:
+    """Their columns have this package's names; a switch that is thrown is a channel, for it opens the terminals."""
+    (tmp_path / "logs").mkdir()
+    for k, (t, u, q) in enumerate(motions):
+        on = (t > 0.1) & (k > 0)
+        rows = zip(t.tolist(), u.tolist(), q.tolist(), on.tolist(), strict=True)
+        entries = [
+            {"timestamp": a, "load": round(885 * b / 12) % 65536, "input_volts": 12.0, "position": c,
+             "torque_enable": d, "goal_position": 0.0}
+            for a, b, c, d in rows
+        ]  # fmt: skip
+        (tmp_path / "logs" / f"run{k}.json").write_text(json.dumps({"kp": 8, "entries": entries}))
+    (tmp_path / "logs" / "notes.json").write_text("{}")
+    words = f"'hybrid-id init {tmp_path / 'logs'}' writes one for its logs"
+    assert words in run("check", tmp_path / "logs").err
+    done = run("init", tmp_path / "logs")
+    assert done.code == 0, done.err
+    data, model = written(tmp_path / "logs")
+    assert [one["name"] for one in data["inputs"]] == ["duty1", "supply1", "enable1"]
+    assert [one["file"] for one in data["records"]] == ["run0.json", "run1.json", "run2.json"]
+    assert model["components"][0]["kind"] == "duty_supply" and "notes.json is no BAM log" in done.out
+    assert run("check", tmp_path / "logs").code == 0
+
+
+def test_a_log_in_place_of_a_dataset_is_sent_to_init(run, tmp_path: Path, motions) -> None:
+    log = write_csv(tmp_path / "logs", motions, MS) / "run1.csv"
+    done = run("check", log)
+    assert done.code == 2 and f"is a log and no dataset; 'hybrid-id init {log}'" in done.err

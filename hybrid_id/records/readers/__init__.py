@@ -8,7 +8,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.reading import size_of
 from hybrid_id.records.readers.bag import bag_names, read_bag
 from hybrid_id.records.readers.bag_files import is_bag_folder
-from hybrid_id.records.readers.bam import read_bam
+from hybrid_id.records.readers.bam import bam_names, read_bam
 from hybrid_id.records.readers.csv_text import csv_names, read_csv
 from hybrid_id.records.readers.lerobot import in_lerobot, lerobot_episodes, lerobot_names, read_lerobot
 from hybrid_id.records.readers.mat import mat_names, read_mat
@@ -31,6 +31,7 @@ _NAMES: dict[str, Callable[[Path], list[str]]] = {
     "csv": csv_names,
     "parquet": parquet_names,
     "mat": mat_names,
+    "bam": bam_names,
     "bag": bag_names,
     "npz": npz_names,
     "lerobot": lerobot_names,
@@ -66,10 +67,8 @@ def column_names(path: Path, file_format: str) -> list[str]:
     """Names of all columns that a file has, in its order.
 
     Raises:
-        InputError: when the file is missing or damaged, or its format has no names of its own (`bam`).
+        InputError: when the file is missing or damaged.
     """
-    if file_format not in _NAMES:
-        raise InputError(f"{path}: columns of format '{file_format}' have fixed names; see docs/records.md")
     with _reaching(path, file_format, "the path"):
         names = _NAMES[file_format](path)
         refuse_excess(path, names)

@@ -71,6 +71,13 @@ def read_bam(path: Path, wanted: Collection[str]) -> Table:
     return Table(path, columns, lambda k: f"entry {k + 1}", meta)
 
 
+def bam_names(path: Path) -> list[str]:
+    """Names of the columns that a BAM log has."""
+    log = _load(path)
+    names = [name for name, key in _KEYS.items() if key in log["entries"][0]]
+    return [*names, "gain1"] if "kp" in log else names
+
+
 def _load(path: Path) -> dict[str, Any]:
     """Read the JSON object and check its outer layout."""
     try:
