@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ class Dataset:
             each record's own stamps count.
         path: Folder or file that it was loaded from.
         resampling: One report a record where they were resampled on loading.
+        cut_beyond: Record -> words on its `between` in the file, where that reaches beyond what is logged.
 
     Example:
         >>> data = Dataset.load("my_robot")  # doctest: +SKIP
@@ -40,6 +41,7 @@ class Dataset:
     sample_time: float | None = None
     path: Path | None = None
     resampling: tuple[ResampleReport, ...] = ()
+    cut_beyond: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("inputs", "outputs", "records", "resampling"):

@@ -11,8 +11,8 @@ from hybrid_id.reading import refuse_outside
 from hybrid_id.records.align import bring_to
 from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, TimeRange, format_of, is_bag_folder, load_any, record_name
-from hybrid_id.records.record import Channel, Record, find_fault, keeps_step
-from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
+from hybrid_id.records.record import Channel, Record, find_fault, keeps_step, stamp
+from hybrid_id.records.resample import MAX_GAP, ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
 from hybrid_id.records.units import number_of, to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
@@ -40,6 +40,7 @@ class Content(NamedTuple):
     sample_time: float | None
     path: Path
     resampling: tuple[ResampleReport, ...]
+    cut_beyond: dict[str, str]
 
 
 def load_dataset(path: Path, folder: Path | None) -> Content:
@@ -125,11 +126,14 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     _refuse_strange_columns(spec, units, file)
     _refuse_shared_columns(spec, file)
     inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
-    records = tuple(
-        _read_record(entry, spec, units, data_file, file)
+    read = [
+        (entry.between, _read_record(entry, spec, units, data_file, file))
         for index, entry in enumerate(spec.records)
         for data_file in _files(entry, folder, f"{file}: key 'records[{index}].file'", spec.follow_links)
-    )
+    ]
+    records = tuple(record for _, record in read)
+    slack = max(abs(channel.skew) for channel in (*spec.inputs, *spec.outputs))
+    beyond = {one.name: words for part, one in read if part and (words := _beyond_the_log(part, one, slack))}
     _refuse_dead_outputs(outputs, records, file)
     sample_time, reports = spec.sample_time, ()
     if spec.resample:
@@ -141,7 +145,18 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
         sample_time, records, reports = resampled(records, spec.resample, sample_time)
     elif "sample_time" not in spec.model_fields_set:
         sample_time = common_sample_time(records)
-    return Content(spec.name, inputs, outputs, records, sample_time, path, reports)
+    return Content(spec.name, inputs, outputs, records, sample_time, path, reports, beyond)
+
+
+def _beyond_the_log(between: tuple[float, float], record: Record, slack: float) -> str:
+    """That a record begins later or ends earlier than asked for, by more than steps and skews [s] explain."""
+    (start, stop), first, last = between, float(record.time[0]), float(record.time[-1])
+    if max(first - start, stop - last) <= slack + MAX_GAP * record.sample_time:
+        return ""
+    return (
+        f"'between' asks for {stamp(start)} to {stamp(stop)} s, of which {stamp(first)} to {stamp(last)} s are logged; "
+        "correct it, unless all of that is meant"
+    )
 
 
 def common_sample_time(records: tuple[Record, ...]) -> float | None:

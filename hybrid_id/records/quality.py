@@ -87,6 +87,11 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
         Finding("warning", "together", f"these records cannot separate {words}; vary one without the other")
         for words in confounded_signals(dataset.records)
     ]
+    findings += [
+        Finding("warning", "between", f"{record.name}: {dataset.cut_beyond[record.name]}", record.name)
+        for record in dataset
+        if record.name in dataset.cut_beyond
+    ]
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
     for channel in dataset.outputs:
         findings += _across_records(dataset, channel)

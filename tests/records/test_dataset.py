@@ -10,6 +10,7 @@ from malformed import SOUND, change_yaml, write_sound_dataset
 
 from hybrid_id.errors import REVERSING, InputError
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.quality import check_dataset
 from hybrid_id.records.record import LARGEST, SMALLEST, Record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -125,6 +126,23 @@ def test_records_may_lie_elsewhere_and_be_cut(tmp_path) -> None:
     data = Dataset.load(tmp_path / "dataset.yaml", folder=tmp_path / "records")
     assert data["cut"].time[0] == 0.1
     assert data["cut"].n_samples == 101
+
+
+@pytest.mark.parametrize(
+    ("between", "logged"),
+    [
+        ([0.1, 60], "0.1 to 60 s, of which 0.1 to 0.598 s are logged"),
+        ([-5, 0.3], "-5 to 0.3 s, of which 0 to 0.3 s are logged"),
+        ([0, 0.6], ""),  # within a few steps
+    ],
+)
+def test_a_part_beyond_the_log_is_told(tmp_path, between: list[float], logged: str) -> None:
+    write_sound_dataset(tmp_path)
+    change_yaml(tmp_path, lambda values: values["records"][0].update(between=between))
+    data = Dataset.load(tmp_path)
+    told = [one.message for one in check_dataset(data) if one.code == "between"]
+    assert len(told) == bool(logged) and all(f"'between' asks for {logged}" in words for words in told)
+    assert not [one for one in check_dataset(data.select(["rec_1"])) if one.code == "between"]
 
 
 def test_resampling_on_request_is_reported(tmp_path) -> None:
