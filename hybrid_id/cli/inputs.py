@@ -90,7 +90,7 @@ def checked_records(config: StudyConfig) -> "Dataset":
 def read_model(path: Path) -> "System":
     """A model file's system; masses and rotors that its robot's description lacks and gears that it has are said."""
     from hybrid_id.records.yaml_file import read_yaml
-    from hybrid_id.systems.builders import geared, without_rotor
+    from hybrid_id.systems.builders import driven_by_speed, geared, without_rotor
     from hybrid_id.systems.model_file import load_model
 
     system = load_model(path)
@@ -104,11 +104,17 @@ def read_model(path: Path) -> "System":
             f"{Path(system.tree.source).name} gives no armature for {', '.join(bare)}: these rotors are taken at a "
             "tenth of the largest inertia that a joint carries, and missing damping as one that stops a joint in 0.3 s"
         )
+    if (braked := driven_by_speed(system)) and system.tree is not None:
+        remark(
+            f"{Path(system.tree.source).name} brakes {', '.join(braked)} by the speed (<velocity>, or a back-EMF), "
+            "which is left out: commands are taken as torques; where they are none, log torque or voltage"
+        )
     if (gears := geared(system)) and system.tree is not None and "gear_ratio" not in read_yaml(path):
+        each = [f"{gear:g} at {name}" for name, gear in gears.items()]
         ratios = [abs(gears.get(name, 1.0)) or 1.0 for name in system.tree.names]
         theirs, ours = (", ".join(f"{one:g}" for one in some) for some in (ratios, [1.0] * len(ratios)))
         remark(
-            f"{Path(system.tree.source).name} multiplies the commands of {', '.join(gears)} by a gear. Torque and "
+            f"{Path(system.tree.source).name} multiplies commands by a gear ({', '.join(each)}). Torque and "
             f"motor are taken at the joint all the same; where it is the drive's gear, and they are before it, add "
             f"'gear_ratio: [{theirs}]' to {path.name}, else 'gear_ratio: [{ours}]'"
         )

@@ -267,7 +267,7 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
         servo=_servo(mujoco, model, j),
         torque_limit=_torque_limit(mujoco, model, j),
-        gear=_motor_gear(mujoco, model, j),
+        **_motor(mujoco, model, j),
     )
 
 
@@ -396,15 +396,23 @@ def _damping(mujoco: Any, model: Any, j: int) -> float:
     return own + _of_actuators(mujoco, model, j, model.actuator_damping) + brake
 
 
-def _motor_gear(mujoco: Any, model: Any, j: int) -> float:
-    """Gear of the actuator that drives a joint, where its command alone makes its force; else 1."""
-    fixed = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtDyn.mjDYN_NONE
+def _motor(mujoco: Any, model: Any, j: int) -> dict[str, Any]:
+    """What the actuator that drives a joint makes of its command, where that or the speed alone makes its force."""
     driving, _ = _driving(mujoco, model, j)
-    if not driving:
-        return 1.0
-    (i,) = driving
-    plain = (model.actuator_gaintype[i], model.actuator_biastype[i], model.actuator_dyntype[i]) == fixed
-    return float(model.actuator_gear[i][0]) if plain else 1.0
+    bias = mujoco.mjtBias
+    found: dict[str, Any] = {}
+    for i in driving:
+        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
+        at_once = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
+        if not (fixed and at_once):
+            continue
+        if model.actuator_biastype[i] == bias.mjBIAS_NONE:
+            found = {"gear": float(model.actuator_gear[i][0]), "gain": float(model.actuator_gainprm[i][0])}
+            if model.actuator_ctrllimited[i]:
+                found["commands"] = tuple(float(end) for end in model.actuator_ctrlrange[i])
+        elif model.actuator_biastype[i] == bias.mjBIAS_AFFINE and _servo(mujoco, model, j) is None:
+            found = {"by_speed": bool(model.actuator_biasprm[i][2])}
+    return found
 
 
 def _torque_limit(mujoco: Any, model: Any, j: int) -> float:

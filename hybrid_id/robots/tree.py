@@ -339,6 +339,9 @@ class TreeJoint:
         speed_limit: largest speed [rad/s or m/s]; inf where the file names none.
         torque_limit: largest torque or force of its actuator [N m or N]; inf where the file names none.
         gear: by which the file multiplies the command of its motor; 1 where it says none, or where a servo turns it.
+        gain: torque or force of that motor for one of its command, before the gear; 1 of MuJoCo's ``motor``.
+        commands: least and largest command of that motor.
+        by_speed: whether its actuator acts against the speed instead, as a loop of the speed and a back-EMF do.
         armature: inertia of its rotor at the joint [kg m^2 or kg].
         damping: [N m s/rad or N s/m].
         friction_loss: dry friction [N m or N].
@@ -362,6 +365,9 @@ class TreeJoint:
     speed_limit: float = float("inf")
     torque_limit: float = float("inf")
     gear: float = 1.0
+    gain: float = 1.0
+    commands: tuple[float, float] = (-float("inf"), float("inf"))
+    by_speed: bool = False
 
 
 @dataclass(frozen=True)

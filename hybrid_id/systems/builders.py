@@ -202,6 +202,16 @@ def geared(system: System) -> dict[str, float]:
     }
 
 
+def driven_by_speed(system: System) -> list[str]:
+    """Joints whose actuators in the description act against the speed, and which the model drives by a torque."""
+    if system.tree is None:
+        return []
+    joints = zip(system.tree.joints, system.joints, strict=True)
+    return [
+        known.name for known, joint in joints if known.by_speed and joint.drive.input[1].channels == ("tau",)
+    ]
+
+
 def joint_names(tree: RigidBodyTree, parts: Sequence[tuple[str, Component]]) -> dict[tuple[str, str], str]:
     """Result names of a robot's parameters: symbol and joint, ``F_c_elbow``; place and kind too where that is twice."""
     named: dict[tuple[str, str], tuple[str, str]] = {}

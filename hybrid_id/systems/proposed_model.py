@@ -265,15 +265,7 @@ def _robot(
     else:
         model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
     still = tree.holding(rest) if held else tree
-    gears = {joint.name: abs(joint.gear) for joint in still.joints if joint.gear not in (0.0, 1.0)}
-    if gears and not ratios:
-        words = ", ".join(f"{gear:g} at {name}" for name, gear in gears.items())
-        line = ", ".join(f"{gears.get(joint.name, 1.0):g}" for joint in still.joints)
-        model.ask(
-            f"Are the gears by which the robot's file multiplies commands those of the drives ({words})? They are not "
-            "taken: torques and motors are those at the joints. Else give gear_ratio in --motor.",
-            f"gear_ratio: [{line}]",
-        )
+    _ask_of_motors(model, drives, still.joints, geared=bool(ratios))
     servos: dict[str, dict[str, Any]] = {}
     placeholders: dict[str, list[str]] = {}
     late: list[str] = []
@@ -298,6 +290,40 @@ def _robot(
         model.values["servos"], model.why["servos"] = servos, "motor's sheet"
     _ask_of_gains(model, late, placeholders, register=bool(servos) and sheet.p is None)
     return model
+
+
+def _ask_of_motors(
+    model: ProposedModel, drives: Sequence[DriveFacts], joints: Sequence[TreeJoint], *, geared: bool
+) -> None:
+    """Ask what the commands are of which the robot's file makes torques; whether the gears are known is ``geared``."""
+    gears = {joint.name: joint.gear for joint in joints if joint.gear not in (0.0, 1.0)}
+    if gears and not geared:
+        line = ", ".join(f"{abs(gears.get(joint.name, 1.0)):g}" for joint in joints)
+        other = (
+            " A minus turns the joint the other way: it is the 'scale: -1' of its command in dataset.yaml."
+        )
+        model.ask(
+            f"Are the gears by which the robot's file multiplies commands those of the drives ({_at_joints(gears)})? "
+            "They are not taken: torques and motors are those at the joints. Else give gear_ratio in --motor."
+            + (other if min(gears.values()) < 0.0 else ""),
+            f"gear_ratio: [{line}]",
+        )
+    torques = [joint for drive, joint in zip(drives, joints, strict=True) if drive.command == "torque"]
+    if gains := {joint.name: joint.gain for joint in torques if joint.gain != 1.0}:
+        model.ask(
+            f"What are the commands that the robot's file multiplies by a gain ({_at_joints(gains)}): torques, volts, "
+            "amperes or per cent? Torques are taken, without the gain; else name the columns of the logs after what "
+            "they hold, or give them that 'scale' in dataset.yaml."
+        )
+    if braked := [joint.name for joint in torques if joint.by_speed]:
+        model.ask(
+            f"Are the commands of {', '.join(braked)} torques? They are taken as such, without the brake by the speed "
+            "that the actuators in the robot's file have (<velocity>, or a back-EMF); else log torque or voltage."
+        )
+
+
+def _at_joints(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{value:g} at {name}" for name, value in values.items())
 
 
 def _ask_of_gains(

@@ -430,6 +430,28 @@ def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Pa
     assert words not in run("check", folder).err
 
 
+@pytest.mark.parametrize(
+    ("actuator", "asked", "line"),
+    [
+        ('<motor joint="elbow" gear="-2"/>', "(-2 at elbow)? ", "gear_ratio: [2]"),
+        ('<motor joint="elbow" gear="-2"/>', "A minus turns the joint the other way", ""),
+        ('<general joint="elbow" gainprm="12"/>', "multiplies by a gain (12 at elbow): torques, volts,", ""),
+        ('<velocity joint="elbow" kv="3"/>', "Are the commands of elbow torques?", ""),
+    ],
+)
+def test_what_a_command_is_in_the_robots_file_is_asked(
+    run, tmp_path: Path, actuator: str, asked: str, line: str
+) -> None:
+    pytest.importorskip("mujoco")
+    columns = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
+    folder = one_joint(tmp_path / "logs", columns, actuator)
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert asked in done.out and line in (folder / "model.yaml").read_text()
+    told = "arm.xml brakes elbow by the speed (<velocity>, or a back-EMF), which is left out"
+    assert (told in run("check", folder).err) == ("velocity" in actuator)
+
+
 COUNTS = {
     "timestamp": lambda t, g, q: t,
     "goal_position": lambda t, g, q: g,

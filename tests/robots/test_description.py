@@ -140,6 +140,23 @@ def test_a_servo_behind_a_gear_is_one_at_the_joint(tmp_path):
     assert found.servo is None and found.gear == 50.0
 
 
+@pytest.mark.parametrize(
+    ("actuator", "told"),
+    [
+        ('<motor joint="turn" gear="-2" ctrlrange="-1 3"/>', {"gear": -2.0, "commands": (-1.0, 3.0)}),
+        ('<general joint="turn" gainprm="12"/>', {"gain": 12.0}),
+        ('<velocity joint="turn" kv="3" ctrlrange="-1 3"/>', {"by_speed": True}),
+        ('<general joint="turn" gainprm="3" biastype="affine" biasprm="0 0 -1"/>', {"by_speed": True}),
+        ('<position joint="turn" kp="3" kv="1" ctrlrange="-1 3"/>', {}),
+    ],
+    ids=["motor", "general", "velocity", "back-EMF", "position"],
+)
+def test_what_an_actuator_makes_of_its_command(tmp_path, actuator, told):
+    (found,) = load_tree(described(tmp_path, arm(), f"<actuator>{actuator}</actuator>")).joints
+    usual = {"gear": 1.0, "gain": 1.0, "commands": (-float("inf"), float("inf")), "by_speed": False}
+    assert {name: getattr(found, name) for name in usual} == usual | told
+
+
 def test_what_limits_and_damps_a_servo_beside_its_own_element(tmp_path):
     joint = '<joint name="turn" axis="0 1 0" actuatorfrcrange="-5 5"/>'
     pair = '<actuator><position joint="turn" kp="100" forcerange="-8 8"/><velocity joint="turn" kv="10"/></actuator>'
