@@ -216,6 +216,8 @@ def _try(
         for finding in [*check_scales(dataset, system), *check_dataset(dataset)]:
             if finding.severity == "error":
                 proposal.questions.append(Question(f"'hybrid-id check' will refuse this: {finding.message}"))
+            elif finding.code == "command_range":
+                proposal.questions.append(Question(f"Is the unit of the command right? {finding.message}."))
     return skews, dataset
 
 

@@ -44,6 +44,8 @@ ALIKE, UNIT, ABSURD = 0.9, 5.0, 40.0
 wrong: 9.5 is a speed's in rpm, 57 an angle's in degrees, 1000 that of a time in ms."""
 RANGES = 3.0
 """Span of a joint's angle over its range in the robot's file, from which the angle's unit is wrong."""
+OVER = 0.02
+"""Share of how far a command goes by which it may go beyond its range: rounding, and the steps of registers."""
 LITTLE = 0.5
 """Correlation of an angle with its goal up to which it may be another joint's."""
 BESIDE, STEADY, NEAR, QUARTER = 0.3, 3.0, 0.1, 1.4
@@ -113,13 +115,14 @@ def check_identifiability(
 
 
 def check_scales(dataset: Dataset, system: System) -> list[Finding]:
-    """What contradicts the model without a simulation: gear ratios, angles far out of their range, goals' units.
+    """What contradicts the model without a simulation: gear ratios, ranges of angles and commands, goals' units.
 
     With an error among them, what the model would do means nothing.
     """
     ratios = {joint.number: ratio for joint, ratio in zip(system.joints, system.own_ratios, strict=True)}
     every = [ratios.get(number) for number in range(1, max(ratios) + 1)]
-    return [*check_encoders(dataset, every), *_spans(dataset, system), *_goals(dataset, system)]
+    found = [*check_encoders(dataset, every), *_spans(dataset, system), *_commands(dataset, system)]
+    return [*found, *_goals(dataset, system)]
 
 
 def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
@@ -222,6 +225,34 @@ def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
                     "the dataset file (degrees?), or gear_ratio in the model file"
                 )
                 yield Finding("error", "range", words, channel=name)
+
+
+def _commands(dataset: Dataset, system: System) -> Iterator[Finding]:
+    """Torques and goals beyond what their actuators take, by the robot's file or by a servo's limits in the model."""
+    for seat, joint in zip(system.arm.seats, system.joints, strict=True):
+        source, known = joint.drive.input[1], None if system.tree is None else system.tree.joints[seat]
+        name = f"{source.channels[0]}{joint.number}"
+        values = [record.inputs[name] for record in dataset if name in record.inputs]
+        if not values:
+            continue
+        of = joint.name if known is None else known.name
+        if {"goal_min", "goal_max"} <= source.specs.keys():
+            low, high = (source.specs[end].value for end in ("goal_min", "goal_max"))
+            cure = f"to which the servo of {of} clips it (goal_min, goal_max; ctrlrange in a robot's file)"
+        elif source.channels == ("tau",) and known is not None and system.tree is not None:
+            factor = known.gear * known.gain / joint.gear_ratio
+            low, high = sorted(factor * end for end in known.commands)
+            cure = f"that ctrlrange of the actuator of {of} allows in {Path(system.tree.source).name}"
+        else:
+            continue
+        least, most = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+        if max(low - least, most - high) > OVER * (most - least):
+            unit = next(channel.unit for channel in dataset.inputs if channel.name == name)
+            words = (
+                f"{name} goes from {least:.4g} to {most:.4g} {unit}, beyond the {low:.4g} to {high:.4g} {unit} {cure}; "
+                "correct its 'unit' or 'scale' in the dataset file, or that range, unless it is so"
+            )
+            yield Finding("warning", "command_range", words, channel=name)
 
 
 def check_start_values(dataset: Dataset, system: System) -> list[Finding]:

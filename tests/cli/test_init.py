@@ -437,6 +437,7 @@ def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Pa
         ('<motor joint="elbow" gear="-2"/>', "A minus turns the joint the other way", ""),
         ('<general joint="elbow" gainprm="12"/>', "multiplies by a gain (12 at elbow): torques, volts,", ""),
         ('<velocity joint="elbow" kv="3"/>', "Are the commands of elbow torques?", ""),
+        ('<motor joint="elbow" ctrlrange="-0.1 0.1"/>', "beyond the -0.1 to 0.1 N m that ctrlrange", ""),
     ],
 )
 def test_what_a_command_is_in_the_robots_file_is_asked(

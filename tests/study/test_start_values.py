@@ -81,6 +81,39 @@ def test_angles_far_out_of_the_joints_range_are_in_another_unit(
 
 
 @pytest.mark.parametrize(
+    ("actuator", "ratio", "channel", "beyond"),
+    [
+        ('<motor joint="pan" ctrlrange="-1 2"/>', 1, "tau1", ""),
+        ('<motor joint="pan" ctrlrange="-0.4 2"/>', 1, "tau1", "pan allows in arm.xml"),
+        ('<motor joint="pan" ctrlrange="-0.4 2" gear="-3"/>', 1, "tau1", ""),  # at the joint, -6 to 1.2
+        ('<motor joint="pan" ctrlrange="-0.4 2" gear="3"/>', 3, "tau1", "beyond the -0.4 to 2 N m that"),
+        ('<general joint="pan" gainprm="2" ctrlrange="-0.4 2"/>', 1, "tau1", "beyond the -0.8 to 4 N m that"),
+        ('<velocity joint="pan" kv="1" ctrlrange="-0.4 2"/>', 1, "tau1", ""),  # a range of speeds
+        (
+            '<position joint="pan" kp="1" ctrlrange="-1 0.5"/>',
+            1,
+            "goal1",
+            "beyond the -1 to 0.5 rad to which",
+        ),
+    ],
+)
+def test_a_command_beyond_the_range_of_its_actuator_is_told(
+    tmp_path: Path, actuator: str, ratio: int, channel: str, beyond: str
+) -> None:
+    (tmp_path / "arm.xml").write_text(
+        "<mujoco><worldbody><body><joint name='pan' type='hinge'/><geom type='box' size='0.1 0.1 0.1' mass='1'/>"
+        f"</body></worldbody><actuator>{actuator}</actuator></mujoco>"
+    )
+    (tmp_path / "model.yaml").write_text(f"robot: {{file: arm.xml}}\ngear_ratio: [{ratio}]\n")
+    command = Channel(channel, "rad" if channel == "goal1" else "N m")
+    record = Record("run", TIME, {channel: np.sin(9 * TIME)}, {"q_a1": 0.9 * np.sin(9 * TIME - 0.2)})
+    dataset = Dataset("arm", (command,), (Channel("q_a1", "rad"),), (record,), 0.01)
+    found = check_scales(dataset, load_model(tmp_path / "model.yaml"))
+    assert [(one.severity, one.code) for one in found] == [("warning", "command_range")] * bool(beyond)
+    assert all(beyond in one.message for one in found)
+
+
+@pytest.mark.parametrize(
     ("unit", "turns", "severity"),
     [
         (1.0, 1.0, None),
