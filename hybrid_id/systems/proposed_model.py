@@ -14,7 +14,7 @@ from hybrid_id.records.proposal import DriveFit
 from hybrid_id.records.proposal_parts import DriveFacts, MotorSheet, Question
 from hybrid_id.robots.tree import RigidBodyTree, TreeJoint
 from hybrid_id.systems.builders import started
-from hybrid_id.systems.servos import SERVOS
+from hybrid_id.systems.servos import SERVOS, drive_of
 
 PLACEHOLDER = {
     "J": 2.0e-5,
@@ -42,7 +42,9 @@ TIMES = 3.0
 WEIGHS = 0.05
 """Share of the acceleration's variance that only a weight explains, from which one is taken to be there."""
 SURE_OF, SURE_OF_STALL = 0.05, 0.1
-"""Standard deviations of priors, relative: of a sheet's torque constant, and of stall torque per volt."""
+"""Standard deviations of priors, relative: of a sheet's torque constant, and of stall torque per volt or per error."""
+REGISTER = 16.0
+"""What the register P of a servo is taken to hold where nothing says it."""
 
 
 @dataclass
@@ -86,7 +88,14 @@ def propose_model(
         raise InputError(
             f"servo '{sheet.servo}' of the motor's sheet is not known; use one of {', '.join(SERVOS)}"
         )
-    return _one_link(drives[0], sheet) if tree is None else _robot(drives, sheet, tree, held)
+    model = _one_link(drives[0], sheet) if tree is None else _robot(drives, sheet, tree, held)
+    if sheet.servo and not any(drive.command == "goal" for drive in drives):
+        commands = " and ".join(dict.fromkeys(drive.command.replace("_", " ") for drive in drives))
+        model.ask(
+            f"What is the servo '{sheet.servo}' of the motor's sheet for? It takes goals, and the command of the logs "
+            f"is none ({commands}), so it is not used: give torque_constant and resistance instead, or log the goal."
+        )
+    return model
 
 
 def _ratios(sheet: MotorSheet, joints: int) -> list[float]:
@@ -156,19 +165,30 @@ def _start(drive: DriveFacts, sheet: MotorSheet, ratio: float, inertia: float | 
             "motor's sheet: torque constant / resistance",
         )
         priors["P_m1"] = SURE_OF_STALL
+    servo = sheet.servo is not None and drive.command == "goal"
+    if sheet.servo is not None and servo:
+        loop, friction = drive_of(SERVOS[sheet.servo], sheet.p or REGISTER, ratio, sheet.voltage)
+        for name, part in (("k_p", loop), ("tau_max", loop), ("F_v", friction)):
+            values[name], why[name] = part.specs[name].value, f"data sheet of {sheet.servo}"
+        priors |= {"k_p": SURE_OF_STALL} if sheet.p else {}
     gain = {"voltage": "P_m1", "duty": "P_m1", "current": "k_t"}.get(drive.command)
     if fit and drive.command == "torque":
         values["J"], why["J"] = 1.0 / alpha, by_fit
     elif fit and gain and gain in priors:
         values["J"], why["J"] = values[gain] / alpha, f"{by_fit} with {gain} of the sheet"
+    elif fit and servo:
+        values["J"], why["J"] = values["k_p"] / (fit.alpha * ratio**2), f"{by_fit} with k_p of the data sheet"
     elif inertia or sheet.inertia:
         values["J"] = float(inertia or sheet.inertia or 0.0)
         why["J"] = "robot's description" if inertia else "motor's sheet: rotor alone, the link comes on top"
     j = values["J"]
     if fit and gain and gain not in priors:
         values[gain], why[gain] = alpha * j, f"{by_fit} with J as it stands here"
-    if fit and drive.command == "goal":
+    if fit and drive.command == "goal" and not servo:
         values["k_p"], why["k_p"] = fit.alpha * j * ratio**2, f"{by_fit} with J as it stands here"
+    if drive.lag:
+        late = f"the lag of the angle behind its goal, {drive.lag:.3g} s, times k_p"
+        values["F_v"], why["F_v"] = drive.lag * values["k_p"] / ratio**2, late
     if fit:
         damping = max(fit.beta, 0.0) * j
         electric = values["P_m1"] * values["P_m2"] if gain == "P_m1" else 0.0
@@ -204,10 +224,19 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
         model.why[f"parameters.{name}"] = start.why[name]
     components = _parts("joint1", drive, start, False, sheet, False)
     _add(model, components)
-    if not (start.priors or drive.command == "torque"):
+    goal = drive.command == "goal"
+    if goal and sheet.servo and not sheet.p:
+        _ask_of_gains(model, [], {}, register=True)
+    elif "k_p" not in start.priors if goal else not (start.priors or drive.command == "torque"):
+        what = (
+            "How stiff is the servo's loop"
+            if goal
+            else "What is the motor's torque constant (and resistance)"
+        )
+        cure = "the servo (servo, p)" if goal else "torque_constant and resistance"
         model.ask(
-            "What is the motor's torque constant (and resistance)? Without a known torque only ratios of parameters "
-            "to J are identifiable, J itself is a placeholder. Give torque_constant and resistance in --motor."
+            f"{what}? Without a known torque only ratios of parameters to J are identifiable, J itself is a "
+            f"placeholder. Give {cure} in --motor."
         )
     if placeholders := [name for name in names if start.why[name] == "placeholder" and name != "J"]:
         model.ask(
@@ -276,7 +305,7 @@ def _robot(
         other_gains = _other_gains(drive, joint, _lag_of_same(drives, joints, joint))
         own = joint.servo is not None and other_gains is None
         if drive.command == "goal" and sheet.servo:
-            servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or 16.0}
+            servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or REGISTER}
             servos[drive.joint] |= {"voltage": sheet.voltage} if sheet.voltage else {}
             own, other_gains = True, None
         if other_gains:
@@ -338,7 +367,7 @@ def _ask_of_gains(
         register: whether the servos' register P is unknown.
     """
     if register:
-        model.ask("What does the register P of the servos hold? 16 is assumed. Give p in --motor.")
+        model.ask(f"What does the register P of the servos hold? {REGISTER:g} is assumed. Give p in --motor.")
     if late:
         model.ask(
             f"How stiff are the servos of {', '.join(late)}? The logs contradict the gains in the robot's file, so k_p "
@@ -440,7 +469,8 @@ def _parts(
             )
         ]
     elif drive.command == "goal" and not own_loop:
-        loop = part("input", "position_servo", k_p=value("k_p", "N m/rad"))
+        top = {"tau_max": value("tau_max", "N m")} if "tau_max" in start.values else {}
+        loop = part("input", "position_servo", k_p=value("k_p", "N m/rad"), **top)
         found = [(loop, f"the command is a goal; k_p: {start.why['k_p']}")]
         found += [] if robot else [(part("motor", "torque_motor"), "the loop gives a torque")]
     if drive.unsigned:
