@@ -36,6 +36,7 @@ from hybrid_id.reporting.diagnosis_words import (
     skew_lines,
     thinned_line,
     tie_lines,
+    unselected_tie_lines,
     value_lines,
     varying_lines,
     where_line,
@@ -239,7 +240,7 @@ def diagnosis_page(
     page.section("Residuals").add(
         *residual_blocks(details.residual_tests, where, with_joint_names(channels, model))
     )
-    ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis)]
+    ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis), *unselected_tie_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(capital, ties or [_NO_TIES]))
     records = page.section("Records").add(records_table(dataset))
     if words := thinned_line(diagnosis):

@@ -304,6 +304,28 @@ def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
     return lines
 
 
+def unselected_tie_lines(diagnosis: Diagnosis) -> list[str]:
+    """Groups of indistinguishable effects of which none is selected, as one line; none without any."""
+    groups = [
+        (f"{one.name}@{one.where}", *one.tied_with)
+        for one in diagnosis.effects
+        if one.tied_with and not one.selected
+    ]
+    known: list[set[str]] = [set(group) for group in diagnosis.ties]
+    said = []
+    for group in sorted(groups, key=len, reverse=True):  # each of a group names the others: it is said once
+        if not any(larger.issuperset(group) for larger in known):
+            known.append(set(group))
+            said.append(", ".join(_at(*_member(member), diagnosis.model) for member in group))
+    if not said:
+        return []
+    also = "also " if diagnosis.ties else ""
+    return [
+        f"{also}indistinguishable on these records, of effects that are not selected: {'; '.join(said)}. No experiment "
+        "is proposed for these."
+    ]
+
+
 def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
     """What would distinguish the members of a tie, pairs with the first one first; each excitation is said once."""
     found: dict[str, list[str]] = {}

@@ -29,6 +29,7 @@ from hybrid_id.reporting.diagnosis_words import (
     moved_line,
     rejected_lines,
     tie_lines,
+    unselected_tie_lines,
     value_lines,
     where_line,
     words_of,
@@ -246,6 +247,20 @@ def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> Non
     assert idle.as_dict()["next_experiments"] == []
     clear = summary(replace(diagnosed[2], ties=(), experiments=()))
     assert "indistinguishable" not in clear and "next experiment" not in clear
+
+
+def test_ties_of_effects_that_are_not_selected_stand_on_the_page_as_in_the_file(diagnosed) -> None:
+    first, one, other, *others = (replace(one, tied_with=()) for one in diagnosed[2].effects)
+    name, rival = (f"{e.name}@{e.where}" for e in (one, other))
+    alike = (first, replace(one, tied_with=(rival,)), replace(other, tied_with=(name,)), *others)
+    free = replace(diagnosed[2], effects=(first, one, other, *others), ties=(), experiments=())
+    tied = replace(free, effects=alike)
+    assert sum(bool(effect["tied_with"]) for effect in tied.as_dict()["effects"]) == 2
+    assert "Nothing is indistinguishable" in diagnosis_page(free, {}).html()
+    page = diagnosis_page(tied, {}).html()
+    assert "Nothing is indistinguishable" not in page
+    (line,) = unselected_tie_lines(tied)  # of two that name each other the pair is said once
+    assert line[1:] in page and line.count(words_of(one.name)) == line.count(words_of(other.name)) == 1
 
 
 def test_a_tie_quotes_what_distinguishes_its_own_pair(diagnosed) -> None:
