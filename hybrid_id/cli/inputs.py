@@ -157,7 +157,7 @@ def remark_validation(count: int, command: str) -> None:
     """Say that a command has no use for validation records, where there are any."""
     if count:
         those = "1 validation record is" if count == 1 else f"{count} validation records are"
-        remark(f"{those} neither fitted nor scored by {command}; 'hybrid-id diagnose' chooses models by them")
+        remark(f"{those} not fitted by {command}; 'hybrid-id diagnose' chooses models by them")
 
 
 def remark_start_values(dataset: "Dataset", system: "System") -> None:

@@ -56,6 +56,7 @@ def study_result(study: Study) -> dict[str, Any]:
         },
         "test_nrmse": study.test_nrmse,
         "test_errors": {name: vars(one) for name, one in study.test_errors.items()},
+        "beside_nominal": vars(study.beside_nominal) | {"worse": study.beside_nominal.worse},
         "engine_error": study.engine_error,
         "profiles": {name: vars(one) for name, one in study.profiles.items()},
     }

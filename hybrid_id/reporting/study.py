@@ -70,7 +70,11 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
     starts = [start_table(study)] if full else []
     failed = [result for result in study.sets if not result.ok]
     ends = [f"{', '.join(list(dict.fromkeys(r.records))[:3])}: {r.message}" for r in failed[:3]]
-    first = [*([] if full else [Text(_usable(study))]), *(Text(line, style="red") for line in ends)]
+    worse = [study.beside_nominal.words] if study.beside_nominal.worse else []
+    first = [
+        *([] if full else [Text(_usable(study))]),
+        *(Text(line, style="red") for line in (*ends, *worse)),
+    ]
     return Group(
         *first, found, *combinations_table(study), *starts, *(Text(line) for line in _remarks(study))
     )

@@ -26,6 +26,8 @@ from hybrid_id.systems.chain import System
 
 LANES = 400_000
 """Samples that are simulated at once."""
+WORSE = 1.02
+"""Error of identified values over that of the nominal ones from which it is no accident of the noise."""
 
 
 def batch_of(
@@ -129,18 +131,23 @@ class OutputError:
     nrmse: float
 
 
-def test_errors(
-    dataset: Dataset, result: FitResult, signal_share: float, horizon: Horizon = WHOLE
+def errors_on(
+    records: Sequence[Record],
+    dataset: Dataset,
+    system: System,
+    engine: Engine,
+    signal_share: float,
+    horizon: Horizon = WHOLE,
 ) -> tuple[dict[str, float], dict[str, OutputError]]:
-    """Errors of a set on the test records: normalised RMSE by record, outputs averaged, and the error by output.
+    """Errors of a model on records of a dataset: normalised RMSE by record, outputs averaged, and the error by output.
 
-    Both are empty without test records.
+    Both are empty without records.
     """
-    if not dataset.test:
+    if not records:
         return {}, {}
-    batch = batch_of(dataset, result.system, dataset.test, signal_share)
-    engine = stable_engine(result.system, result.engine, batch)  # these records may have longer samples
-    runs = simulated_over(horizon, result.system, engine, batch)
+    batch = batch_of(dataset, system, records, signal_share)
+    engine = stable_engine(system, engine, batch)  # these records may have longer samples
+    runs = simulated_over(horizon, system, engine, batch)
     pairs = [(y[: len(run)].T, run.T) for y, run in zip(batch.y.numpy(), runs, strict=True)]  # (n_y, T)
     normalised, plain = (np.array([of(*pair) for pair in pairs]) for of in (nrmse, rmse))  # (records, n_y)
     by_record = {name: known_mean(row) for name, row in zip(batch.names, normalised, strict=True)}
@@ -149,6 +156,64 @@ def test_errors(
         for c, name in enumerate(batch.outputs)
     }
     return by_record, by_output
+
+
+@dataclass(frozen=True)
+class BesideNominal:
+    """How well the selected set predicts records beside the nominal values: test records where there are any.
+
+    Attributes:
+        role: of the records: test, else validation, else train.
+        count: how many they are.
+        nominal: normalised RMSE with the nominal values, mean of the outputs and records; inf where a run diverged.
+        identified: the same with the selected set.
+    """
+
+    role: str
+    count: int
+    nominal: float
+    identified: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the selected set errs more than the nominal values, by more than noise would have it."""
+        return self.identified > WORSE * self.nominal
+
+    @property
+    def words(self) -> str:
+        """Both errors in a sentence, and what to do where the selected set errs more."""
+        records = f"{self.count} {self.role} record{'s' * (self.count > 1)}"
+        why = (
+            "other start values (--starts), or --pooled, may fit them better"
+            if self.role == "train"
+            else "the train records do not determine the values, or show what the model lacks otherwise than these "
+            "records ('hybrid-id diagnose'); keep the nominal values, or record more motion"
+        )
+        return (
+            f"the identified values predict the {records} worse than the nominal values do: normalised RMSE "
+            f"{self.identified:.3g}, nominal {self.nominal:.3g}; {why}"
+        )
+
+
+def beside_nominal(
+    dataset: Dataset, system: System, result: FitResult, signal_share: float, horizon: Horizon = WHOLE
+) -> BesideNominal:
+    """Errors of a set beside those of the nominal values that its fit started from.
+
+    Args:
+        dataset: the records.
+        system: the model with its nominal values.
+        result: the set.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        horizon: how long the free runs are.
+    """
+    by_role = {"test": dataset.test, "validation": dataset.validation, "train": dataset.train}
+    role, records = next((role, records) for role, records in by_role.items() if records)
+    nominal, identified = (
+        known_mean(errors_on(records, dataset, one, result.engine, signal_share, horizon)[0].values())
+        for one in (system, result.system)
+    )
+    return BesideNominal(role, len(records), nominal, identified)
 
 
 def simulated_over(horizon: Horizon, system: System, engine: Engine, batch: Batch) -> list[np.ndarray]:

@@ -21,7 +21,7 @@ from hybrid_id.statistics.reliability import Reliability
 from hybrid_id.statistics.residuals import Whiteness, whiteness
 from hybrid_id.statistics.uncertainty import Covariance, normal_interval
 from hybrid_id.statistics.variation import Variation, variation
-from hybrid_id.study.replays import OutputError
+from hybrid_id.study.replays import BesideNominal, OutputError
 from hybrid_id.systems.chain import System
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ class Study:
         selection: the set to use.
         test_nrmse: normalised RMSE of the selected set on each test record, by name; empty without test records.
         engine_error: largest change of an estimate in standard errors when the step is halved.
+        beside_nominal: errors of the selected set and of the nominal values on the same records.
         horizon: how long the free runs are that were fitted and compared with the records.
         profiles: profile likelihoods of the selected set's parameters, by name, as far as they were asked for.
         level: confidence of all intervals.
@@ -85,6 +86,7 @@ class Study:
     selection: Selection
     test_nrmse: dict[str, float]
     engine_error: float
+    beside_nominal: BesideNominal
     horizon: Horizon = WHOLE
     profiles: Mapping[str, Profile] = field(default_factory=dict)
     level: float = 0.95
@@ -224,6 +226,7 @@ class Study:
     def _remarks(self) -> list[str]:
         """What a page says below the parameters."""
         lines = [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
+        lines += [self.beside_nominal.words] if self.beside_nominal.worse else []
         lines += self.identifiability.summary().splitlines()
         lines.append(self.selection.summary())
         if self.test_nrmse:

@@ -38,7 +38,7 @@ from hybrid_id.statistics.uncertainty import (
 from hybrid_id.statistics.variation import Variation, mean_interval, prior_variances, variation
 from hybrid_id.study.checks import identifiability_of
 from hybrid_id.study.processes import fit_in_processes
-from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_errors
+from hybrid_id.study.replays import batch_of, beside_nominal, cross_validate, engine_error, errors_on
 from hybrid_id.study.result import Study
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -234,11 +234,14 @@ def analyse_fits(
         why = "the iterations were used up before the fit had converged"
         reliability = tuple(replace(r, grade="C", reason=why) if r.grade in "AB" else r for r in reliability)
     pieces = horizon.cut(chosen.system, chosen.engine, batch)
-    by_record, by_output = test_errors(dataset, chosen, signal_share, horizon)
+    by_record, by_output = errors_on(
+        dataset.test, dataset, chosen.system, chosen.engine, signal_share, horizon
+    )
     return Study(
         system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,
-        by_record, engine_error(chosen, pieces), horizon=horizon, level=level, test_errors=by_output,
-        outputs=with_joint_names(dataset.outputs, system), input_error=input_error,
+        by_record, engine_error(chosen, pieces), beside_nominal(dataset, system, chosen, signal_share, horizon),
+        horizon=horizon, level=level, test_errors=by_output, outputs=with_joint_names(dataset.outputs, system),
+        input_error=input_error,
     )  # fmt: skip
 
 

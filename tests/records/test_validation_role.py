@@ -44,4 +44,4 @@ def test_other_commands_neither_fit_nor_test_with_validation_records(command: st
     lines = [line for line in found.output.splitlines() if "run_2" in line]
     assert not any(" train" in line or " test" in line for line in lines), lines
     if command == "identify":
-        assert "1 validation record is neither fitted nor scored by identify" in found.output
+        assert "1 validation record is not fitted by identify" in found.output

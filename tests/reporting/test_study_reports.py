@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from drives import make_records, multisine, rigid_drive
+from drives import make_records, multisine, only, rigid_drive
 from rich.console import Console
 
 from hybrid_id.records.dataset import Channel, Dataset
@@ -39,6 +39,7 @@ from hybrid_id.study import (
     identify,
     replay,
 )
+from hybrid_id.study.replays import beside_nominal
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 
@@ -170,6 +171,31 @@ def test_a_fit_worse_than_the_mean_is_said(study: Study) -> None:
     assert "check signs" in check_fit(replace(study, test_nrmse={"run_2": 1.2}))
     one = check_fit(replace(study, test_nrmse={"run_2": 0.01, "run_3": 2.7, "run_4": 0.02}))
     assert "but for run_3 (normalised RMSE 2.7, median 0.02); check signs, units and columns there" in one
+
+
+@pytest.mark.parametrize("role", ["test", "validation"])
+def test_that_a_fit_predicts_worse_than_the_nominal_values_is_said(dataset: Dataset, role: str) -> None:
+    """The train records are of another drive than the last record, whose values are the nominal ones."""
+    other = rigid_drive().with_values({"F_c": 0.014, "F_v": 7e-5})
+    voltages = [multisine(k, samples=500, amplitude=7.0) for k in range(2)]
+    noise = {"q_m1": 0.01, "q_a1": 1e-4}
+    records = make_records(other, voltages, noise=noise, outputs=("q_m1", "q_a1"))
+    last, system = dataset.records[2], only(rigid_drive(), "F_c", "F_v")
+    found = identify(replace(dataset, records=(*records, replace(last, role=role))), system, pooled=True)
+    beside = found.beside_nominal
+    assert (beside.role, beside.count, beside.worse) == (role, 1, True)
+    assert role == "validation" or beside.identified == pytest.approx(found.test_error)
+    said = f"predict the 1 {role} record worse than the nominal values do: normalised RMSE"
+    assert said in found.summary() and said in " ".join(text_of(study_table(found)).split())
+    assert study_result(found)["beside_nominal"]["worse"]
+    alone = replace(dataset, records=(replace(last, role="train"),))
+    at_fit = beside_nominal(alone, system, found.selected, 0.0)
+    assert (at_fit.role, at_fit.worse) == ("train", True) and "--starts" in at_fit.words
+
+
+def test_a_fit_that_predicts_better_than_the_nominal_values_says_nothing_of_them(study: Study) -> None:
+    assert study.beside_nominal.identified < study.beside_nominal.nominal
+    assert "nominal values do" not in study.summary() + text_of(study_table(study))
 
 
 def test_a_value_far_from_its_prior_is_said(study: Study) -> None:
