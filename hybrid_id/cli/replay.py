@@ -1,11 +1,12 @@
 """`simulate` and `compare`: records replayed through models."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import show
+from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
 from hybrid_id.cli.inputs import check_window, read_model, records_to_replay
 from hybrid_id.cli.options import (
@@ -25,6 +26,7 @@ from hybrid_id.errors import InputError
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.study import Comparison
+    from hybrid_id.systems.chain import System
 
 Folder = Annotated[
     Path, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
@@ -92,14 +94,10 @@ def _replay(
     use_threads(threads)
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.results import comparison_result, horizon_result
-    from hybrid_id.study import Horizon
-    from hybrid_id.study import compare as side_by_side
 
     check_window(window, dataset.records)
-    labels, horizon = _labels(models), Horizon.of(window)
-    comparison = side_by_side(
-        dataset, {labels[model]: read_model(model) for model in models}, horizon=horizon
-    )
+    labels = _labels(models)
+    comparison = _side_by_side(dataset, {labels[model]: read_model(model) for model in models}, window)
     files = {label: str(model) for model, label in labels.items()}
     result = to_json(
         command,
@@ -122,6 +120,31 @@ def _replay(
     show(
         comparison_table(comparison), f"results are in {out}: report.html, comparison.csv, pictures, {RESULT}"
     )
+
+
+def _side_by_side(dataset: "Dataset", models: "Mapping[str, System]", window: str) -> "Comparison":
+    """Compare the models; where fits choose the horizon, say so before them, show their number, and say the choice."""
+    from hybrid_id.study import Horizon
+    from hybrid_id.study import compare as side_by_side
+
+    with counting("fits that choose the horizon") as bar:
+
+        def say(done: int, total: int) -> None:
+            if not bar.task_ids:
+                bar.console.print(
+                    f"free runs over whole records lose them, so up to {total} fits of the model that errs least "
+                    "choose a horizon for all; '--window' with seconds, whole or strokes gives one without fits",
+                    style="dim", markup=False, soft_wrap=True,
+                )  # fmt: skip
+                bar.add_task("", total=total)
+            bar.update(bar.task_ids[0], completed=done)
+
+        comparison = side_by_side(dataset, models, horizon=Horizon.of(window), say=say)
+    if bar.task_ids:
+        remark(
+            f"chosen: {comparison.horizon}; '--window {comparison.horizon.wish}' gives it without these fits"
+        )
+    return comparison
 
 
 def _labels(models: list[Path]) -> dict[Path, str]:

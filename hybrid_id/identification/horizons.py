@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -90,6 +90,11 @@ class Horizon:
         """How long free runs are, in words."""
         names = {"whole": "free runs over whole records", "strokes": "free runs from rest to rest"}
         return names.get(self.kind, f"free runs of {self.seconds:g} s from measured states")
+
+    @property
+    def wish(self) -> str:
+        """The user's word for it, see :meth:`of`."""
+        return f"{self.seconds:g}" if self.kind == "windows" else self.kind
 
     def __str__(self) -> str:
         return f"{self.length}, for {self.reason}" if self.reason else self.length
@@ -298,6 +303,7 @@ def choose_horizon(
     whole: Sequence[FitResult] = (),
     *,
     options: Options | None = None,
+    say: Callable[[int, int], object] = lambda done, total: None,
 ) -> Horizon:
     """The longest of whole records, strokes and windows beyond which error grows faster than information.
 
@@ -313,16 +319,22 @@ def choose_horizon(
         batch: whole records, prepared for it.
         whole: fits of the records as a whole, one or one a record; fitted here where there is none.
         options: settings of these fits.
+        say: called before each of them with how many are done, and how many there are at most.
     """
     options = options or Options()
     if not system.estimated:
         return WHOLE
+    lengths = [s for s in SECONDS if holds_enough(s, batch.sample_time)]
+    horizons = (*(Horizon("windows", s) for s in lengths), Horizon("strokes"), WHOLE)
+    before = 0 if whole else 1
+    if not whole:
+        say(0, len(horizons) + before)
     whole = whole or fit(system, batch, pooled=True, engine=engine, options=options)
     if astray(whole, batch) <= FOLLOWED:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
-    lengths = [s for s in SECONDS if holds_enough(s, batch.sample_time)]
-    for horizon in (*(Horizon("windows", s) for s in lengths), Horizon("strokes"), WHOLE):
+    for done, horizon in enumerate(horizons, before):
+        say(done, len(horizons) + before)
         part = horizon.cut(system, engine, batch)
         if horizon.kind != "whole" and part.rows == batch.rows:
             continue

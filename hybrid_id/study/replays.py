@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -332,6 +332,7 @@ def compare(
     *,
     engine: Engine | None = None,
     horizon: Horizon | None = None,
+    say: Callable[[int, int], object] = lambda done, total: None,
 ) -> Comparison:
     """Replay every record through every model over one horizon.
 
@@ -340,6 +341,7 @@ def compare(
         models: by label.
         engine: as in :func:`replay`.
         horizon: of all models (default: the records choose it, by the model that errs least over whole records).
+        say: called before each fit that chooses it with how many are done, and how many there are at most.
 
     Raises:
         InputError: no model, a channel that a model needs is missing, or a simulation diverged.
@@ -360,9 +362,8 @@ def compare(
     best = models[min(errors, key=lambda label: errors[label])]
     horizon = Horizon(reason="they follow the records")
     if min(errors.values()) > FOLLOWED:
-        horizon = choose_horizon(
-            best, compiled_for(best, engine or Engine()), batch_of(dataset, best, dataset.records)
-        )
+        compiled = compiled_for(best, engine or Engine())
+        horizon = choose_horizon(best, compiled, batch_of(dataset, best, dataset.records), say=say)
     if horizon.kind == "whole":
         return Comparison(replays, horizon, outputs)
     return compare(dataset, models, engine=engine, horizon=horizon)

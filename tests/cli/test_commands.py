@@ -45,7 +45,7 @@ from hybrid_id.machines.twin.demo import DEMO
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.processes import fit_share
-from hybrid_id.systems.model_file import load_model
+from hybrid_id.systems.model_file import load_model, save_model
 
 TRUTH = {"J": 2e-5, "F_c": 0.01, "F_v": 5e-5}
 
@@ -348,6 +348,19 @@ def test_simulate_writes_what_the_model_says(
     look_at(out / "report.html", tmp_path, figures=4)
     text = (out / "report.html").read_text()
     assert "<h1>model.yaml on" in text and '<p class="lead">model.yaml: NRMSE 0.0' in text
+
+
+def test_compare_says_before_it_that_fits_choose_the_horizon_and_what_they_chose(
+    run, drive: Path, tmp_path: Path
+) -> None:
+    poor = tmp_path / "poor.yaml"
+    save_model(load_model(drive / "model.yaml").with_values({"J": 6e-5}), poor)
+    said = run("compare", drive, "-m", poor, "--out", tmp_path / "auto")
+    assert "free runs over whole records lose them, so up to 7 fits" in said.err
+    chosen = json.loads((tmp_path / "auto" / "result.json").read_text())["horizon"]
+    assert chosen["kind"] == "whole" and "'--window whole' gives it without these fits" in said.err
+    given = run("compare", drive, "-m", poor, "--window", "whole", "--out", tmp_path / "given")
+    assert given.code == 0 and "fits" not in given.err
 
 
 def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:

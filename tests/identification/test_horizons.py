@@ -130,8 +130,10 @@ def test_whole_records_are_chosen_where_free_runs_follow_them(sound: list[Record
 def test_windows_are_chosen_where_free_runs_drift_and_find_better_values(drifted: list[Record]) -> None:
     batch = make_batch(START, drifted)
     (whole,) = fit(START, batch, engine=ENGINE, pooled=True)
-    chosen = choose_horizon(START, ENGINE, batch, [whole])
-    assert chosen.kind != "whole"
+    said: list[tuple[int, int]] = []
+    chosen = choose_horizon(START, ENGINE, batch, [whole], say=lambda *counts: said.append(counts))
+    assert chosen.kind != "whole" and Horizon.of(chosen.wish) == replace(chosen, reason="")
+    assert said == [(done, 6) for done in range(6)]  # each fit is counted before it is made
     assert "whole runs lose the records after" in str(chosen)
     (cut,) = fit(START, chosen.cut(START, ENGINE, batch), engine=ENGINE, pooled=True)
     truth = np.array([TRUTH.parameter(name).spec.value for name in cut.names])
