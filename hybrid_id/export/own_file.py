@@ -25,7 +25,7 @@ from hybrid_id.components.load.payload import Payload
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import left_out
 from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, commanded, number, numbers
-from hybrid_id.robots.description import compiled, read_spec, without_missing_meshes
+from hybrid_id.robots.description import braking, compiled, idle, read_spec, without_missing_meshes
 from hybrid_id.robots.tree import Body, RigidBodyTree, TreeJoint
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
@@ -71,8 +71,8 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
         mujoco_model(exported)
     except ValueError as error:
         raise InputError(
-            f"{path}: MuJoCo does not take it with the drives put in ({' '.join(str(error).split())}); take out what "
-            "speaks of the actuators that are replaced."
+            f"{path}: MuJoCo does not take it with the drives put in ({' '.join(str(error).split())}); rename or take "
+            "out what does not go with them."
         ) from None
     return exported
 
@@ -441,12 +441,7 @@ class _Edit(Drives):
 
     def _motor(self, joint: Joint, known: TreeJoint, tag: str, attributes: Attributes) -> str:
         """Put the drive's motor in the place of the joint's actuator, or beside the others; returns its name."""
-        mine = [
-            e
-            for e in self.text.elements
-            if "actuator" in e.above and known.name in (e.values.get("joint"), e.values.get("jointinparent"))
-        ]
-        here = self._known(mine, known)
+        mine, here = self._acting(known)
         if here is not None and (new := self._kept(joint, mine, here, tag, attributes)) is not None:
             named = {} if "name" in mine[0].values else {"name": attributes["name"]}
             # the drive's rotor and friction stand at the joint
@@ -455,10 +450,7 @@ class _Edit(Drives):
             if named or new:
                 self.text.put(mine[0], named | new)
             for brake in mine[1:]:
-                self.text.replace(brake, "")
-                self.notes.append(
-                    f"{known.name}: its {brake.tag} brakes it, and is part of the joint's damping"
-                )
+                self._idle(brake, known, "brakes it, and is part of the joint's damping")
             return (mine[0].values | named)["name"]
         command = commanded(joint)
         if self.closes(joint):
@@ -471,12 +463,28 @@ class _Edit(Drives):
         attributes["name"] = mine[0].values.get("name", attributes["name"])
         self.text.replace(mine[0], self._new(tag, attributes))
         for other in mine[1:]:
-            self.text.replace(other, "")
+            self._idle(other, known, "is part of the drive")
         self.replaced.setdefault((" and a ".join(e.tag for e in mine), command), []).append(known.name)
         return attributes["name"]
 
-    def _known(self, mine: list[_Element], known: TreeJoint) -> Any | None:
-        """What MuJoCo knows of the first of a joint's actuators in the text; None where it has others elsewhere."""
+    def _idle(self, element: _Element, known: TreeJoint, why: str) -> None:
+        """Leave an actuator without effect: without it, all that follow would have other places in ``ctrl``."""
+        named = {name: value for name, value in element.values.items() if name == "name"}
+        self.text.replace(element, self._new("general", named | {"joint": known.name, "gainprm": "0"}))
+        self.notes.append(
+            f"{known.name}: its {element.tag} {why}; it stays without effect, so that all keep their places in ctrl"
+        )
+
+    def _acting(self, known: TreeJoint) -> tuple[list[_Element], Any | None]:
+        """A joint's actuators in the text, first what drives it, and what MuJoCo knows of that one.
+
+        The latter is None where the joint has no actuator, or others elsewhere.
+        """
+        mine = [
+            e
+            for e in self.text.elements
+            if "actuator" in e.above and known.name in (e.values.get("joint"), e.values.get("jointinparent"))
+        ]
         joint = self.model.joint(known.name).id
         acting = [
             one
@@ -489,7 +497,12 @@ class _Edit(Drives):
                 f"{self.path}: an actuator of joint '{known.name}' stands in a file that this one includes, and acts "
                 "without a command (armature, damping or a loop), beside the drive; move it into this file."
             )
-        return acting[0] if mine and len(acting) == len(mine) else None
+        if len(acting) != len(mine):
+            return mine, None
+        brakes, dead = braking(self.model), idle(self.model)
+        both = [pair for pair in zip(mine, acting, strict=True) if not dead[pair[1].id]]
+        both.sort(key=lambda pair: brakes[pair[1].id])
+        return [element for element, _ in both], both[0][1] if both else None
 
     def _kept(
         self, joint: Joint, mine: list[_Element], here: Any, tag: str, attributes: Attributes

@@ -370,12 +370,27 @@ def _driving(mujoco: Any, model: Any, j: int) -> tuple[list[int], list[int]]:
 
     A loop of the speed brakes where another actuator drives the joint; alone it drives.
     """
-    own = _acting(mujoco, model, j)
-    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    constant, by_angle, by_speed = model.actuator_biasprm[:, :3].T
-    speed_alone = affine & (constant == 0.0) & (by_angle == 0.0) & (by_speed != 0.0)
-    driving = [i for i in own if not speed_alone[i]] or [i for i in own if model.actuator_gainprm[i][0]]
+    own, passive = _acting(mujoco, model, j), braking(model) | idle(model)
+    driving = [i for i in own if not passive[i]] or [i for i in own if model.actuator_gainprm[i][0]]
     return driving, [i for i in own if i not in driving]
+
+
+def braking(model: Any) -> np.ndarray:
+    """Whether the force of each actuator of a compiled MJCF depends, beside its command, on the speed alone."""
+    import mujoco
+
+    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE  # type: ignore[attr-defined]
+    constant, by_angle, by_speed = model.actuator_biasprm[:, :3].T
+    return affine & (constant == 0.0) & (by_angle == 0.0) & (by_speed != 0.0)
+
+
+def idle(model: Any) -> np.ndarray:
+    """Whether each actuator has no effect, as one that an export leaves at its place in ``ctrl``."""
+    import mujoco
+
+    without = model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE  # type: ignore[attr-defined]
+    fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED  # type: ignore[attr-defined]
+    return without & fixed & (model.actuator_gainprm[:, 0] == 0.0)
 
 
 def _brake(mujoco: Any, model: Any, j: int) -> float:

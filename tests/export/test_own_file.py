@@ -352,15 +352,36 @@ def test_an_included_actuator_that_acts_by_itself_is_refused(tmp_path: Path, apa
         to_mjcf(arm(tmp_path, text=text))
 
 
-def test_a_brake_beside_a_motor_is_damping_and_is_taken_out(tmp_path: Path) -> None:
-    own = '<motor name="m" joint="lift"/><velocity name="brake" joint="lift" kv="0.5" gear="2"/>'
-    system = arm(tmp_path, text=re.sub("<position.*/>", own, ARM))
+@pytest.mark.parametrize(
+    "driven", ['<motor name="m" joint="lift"/>', '<position name="m" joint="lift" kp="5"/>']
+)
+@pytest.mark.parametrize("first", [True, False], ids=["drive first", "brake first"])
+def test_a_brake_is_part_of_the_drive_and_all_keep_their_places_in_ctrl(
+    tmp_path: Path, driven: str, first: bool
+) -> None:
+    brake, elbow = (
+        '<velocity name="brake" joint="lift" kv="0.5" gear="2"/>',
+        '<motor name="e" joint="elbow"/>',
+    )
+    text = re.sub("<position.*/>", (driven + brake if first else brake + driven) + elbow, ARM)
+    more = '<keyframe><key ctrl="0 0 0"/></keyframe><sensor><actuatorpos actuator="brake"/></sensor></mujoco>'
+    text = text.replace("</mujoco>", more)
+    system = arm(tmp_path, text=text)
     exported = to_mjcf(system)
     model = mujoco_model(exported)
-    assert "lift: its velocity brakes it, and is part of the joint's damping" in exported.notes
-    assert exported.motors[0] == "m" and model.nu == 2
-    assert np.ravel(model.dof_damping[0])[0] == pytest.approx(0.1 + 4 * 0.5)
-    assert apart(system, waves(system, [0.3, 0.1], ["tau1", "tau2"])) < 2e-3
+    assert model.actuator("e").id == 2 and model.actuator("brake").id == int(first)
+    assert exported.motors == ("m", "e")
+    assert any("it stays without effect, so that all keep their places in ctrl" in n for n in exported.notes)
+    data = mujoco.MjData(model)
+    data.qvel[0], data.ctrl[model.actuator("brake").id] = 1.0, 1.0
+    mujoco.mj_forward(model, data)
+    assert data.actuator("brake").force[0] == 0.0
+    if "motor" in driven:
+        assert np.ravel(model.dof_damping[0])[0] == pytest.approx(0.1 + 4 * 0.5)
+    command = "tau1" if "motor" in driven else "goal1"
+    assert apart(system, waves(system, [0.3, 0.1], [command, "tau2"])) < 2e-3
+    again = to_mjcf(arm(tmp_path, text=exported.text))  # what has no effect counts for nothing
+    assert again.notes == () and mujoco_model(again).nu == 3
 
 
 def test_an_actuator_that_is_kept_says_that_it_takes_a_current(tmp_path: Path) -> None:
@@ -471,10 +492,12 @@ def test_an_included_joint_is_refused_and_an_included_rest_is_kept(tmp_path: Pat
     assert mujoco_model(exported).ngeom == 1
 
 
-def test_an_actuator_that_something_else_needs(tmp_path: Path) -> None:
-    more = '<velocity name="brake" joint="lift" kv="1"/></actuator><sensor><actuatorpos actuator="brake"/></sensor>'
-    text = ARM.replace("</actuator>", more)
-    with pytest.raises(InputError, match="take out what speaks of the actuators"):
+def test_a_name_that_a_drive_needs_and_something_else_has(tmp_path: Path) -> None:
+    text = ARM.replace("</actuator>", '<motor name="motor_elbow" site="tip"/></actuator>')
+    text = text.replace('<joint name="elbow"', '<site name="tip"/><joint name="elbow"')
+    with pytest.raises(
+        InputError, match=r"MuJoCo does not take it .*repeated name 'motor_elbow'.*; rename or take"
+    ):
         to_mjcf(arm(tmp_path, text=text))
 
 
