@@ -30,6 +30,8 @@ _HOW = (
 
 MISSED = 1.5
 """Error from which on a joint without a network is said to be badly explained."""
+OPEN = float(np.log(2.0))
+"""End of a gain's interval above which records left out do not exclude that a network halves the error."""
 
 
 def residuals_result(found: ArmHybrid) -> dict[str, Any]:
@@ -74,10 +76,15 @@ def lead(found: ArmHybrid) -> str:
             f"{', those not taken as the model has them' if found.others else ''}: {before:.3g} by physics alone, "
             f"{after:.3g} with {'it' if len(stay) == 1 else 'them'} (1: as measurements are weighted)."
         )
-    if left := [
-        name for name, one in found.joints.items() if one.size is None and _means(one.left_out)[0] > MISSED
-    ]:
+    missed = {
+        name: one.gain.upper > OPEN
+        for name, one in found.joints.items()
+        if one.size is None and _means(one.left_out)[0] > MISSED
+    }
+    if left := [name for name, unsure in missed.items() if not unsure]:
         said += f" What physics leaves at {joined(left)} is no torque over angle and speed: diagnose it."
+    if few := [name for name, unsure in missed.items() if unsure]:
+        said += f" At {joined(few)} too few records are left out to say whether a network helps: record more."
     return said + (" It was stopped: not all joints were taken." if found.interrupted else "")
 
 

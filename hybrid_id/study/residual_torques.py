@@ -162,7 +162,7 @@ def learn_residuals(
     Ctrl-C ends it with the joints that are done.
 
     Raises:
-        InputError: a joint that the robot has not, fewer than two train records, or no joint that can be taken.
+        InputError: a joint that the robot has not, too few records, or no joint that can be taken.
     """
     if system.tree is None:
         raise InputError(
@@ -218,9 +218,12 @@ def _learn(
 ) -> list[JointHybrid]:
     """Physics alone and with a network at each joint, of a joint by itself or of those of a coupled gear together."""
     train = dataset.train
-    if len(train) < 2:
+    judges = "validation" if dataset.validation else "train"
+    if not train or len(dataset.validation or train) < 2:
         raise InputError(
-            f"Dataset '{dataset.name}' has {len(train)} to train on; a network needs two records or more."
+            f"Dataset '{dataset.name}' has {len(train)} train and {len(dataset.validation)} validation records where "
+            "the joint moves; two validation records or more judge a network, or, without any, two train records or "
+            f"more, left out in turn: give more records the role {judges if train else 'train'}."
         )
     physics = _fitted(dataset, system, train, WHOLE, signal_share)
     if horizon is None:

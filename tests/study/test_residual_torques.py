@@ -9,6 +9,8 @@ from servo_arm import described, records_of
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.residual_torques import lead
 from hybrid_id.reporting.results import write_physics
 from hybrid_id.study.residual_torques import HELD, _best_size, learn_residuals
 from hybrid_id.systems.builders import one_link
@@ -74,6 +76,22 @@ def test_joints_of_a_coupled_gear_are_taken_together(nominal: System, tmp_path: 
     assert all(f"joint{k}/load/residual_torque" in found.system.components for k in (2, 3))
 
 
+def in_roles(dataset: Dataset, *roles: str) -> Dataset:
+    """The same records with other roles."""
+    pairs = zip(dataset.records, roles, strict=True)
+    return replace(dataset, records=tuple(replace(record, role=role) for record, role in pairs))
+
+
+def test_one_train_record_is_enough_where_validation_records_judge(nominal: System) -> None:
+    machine = nominal.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    dataset = in_roles(records_of(machine, 3), "train", "validation", "validation")
+    found = learn_residuals(dataset, nominal, ["elbow"])
+    elbow = found.joints["elbow"]
+    assert set(elbow.left_out) == {"run_1", "run_2"} and elbow.gain.mean > 0.1
+    assert elbow.size is None and "At elbow too few records are left out to say whether" in lead(found)
+    assert all(after < before for before, after in elbow.left_out.values())
+
+
 def test_nothing_missing_nothing_learnt(nominal: System) -> None:
     found = learn_residuals(records_of(nominal, 4), nominal, ["elbow"])
     assert found.joints["elbow"].size is None
@@ -82,8 +100,15 @@ def test_nothing_missing_nothing_learnt(nominal: System) -> None:
 
 def test_what_cannot_be_learnt_is_refused(nominal: System) -> None:
     dataset = records_of(nominal, 2)
-    with pytest.raises(InputError, match="has 1 to train on; a network needs two records or more"):
+    words = (
+        r"has 1 train and 0 validation records where the joint moves; .*: give more records the role train"
+    )
+    with pytest.raises(InputError, match=words):
         learn_residuals(dataset, nominal, ["elbow"])
+    with pytest.raises(
+        InputError, match=r"has 1 train and 1 validation .*: give more records the role validation"
+    ):
+        learn_residuals(in_roles(records_of(nominal, 2), "train", "validation"), nominal, ["elbow"])
     with pytest.raises(InputError, match="The robot has no joint 'wrist'"):
         learn_residuals(dataset, nominal, ["wrist"])
     with pytest.raises(InputError, match="for a robot"):
