@@ -118,7 +118,9 @@ def _show_findings(findings: "list[Finding]", *, full: bool) -> None:
     shown = [one for one in findings if full or one.severity != "info" or one.code == "resampled"]
     show(findings_list(shown))
     if hidden := len(findings) - len(shown):
-        show(f"({count(hidden, 'remark')} for information: --full)")
+        show(
+            f"({count(hidden, 'more remark')}, for information only: --full shows {'it' if hidden == 1 else 'them'})"
+        )
 
 
 def _show_model(found: "ModelCheck", system: "System", path: Path, *, full: bool) -> None:

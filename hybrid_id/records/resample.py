@@ -64,8 +64,8 @@ class ResampleReport:
             f"to {self.n_out} at {1e3 * self.sample_time:.4g} ms"
         )
         if self.lost:
-            words += "; not carried over: " + ", ".join(
-                f"{name} {rms:.2g} RMS" for name, rms in self.lost.items()
+            words += "; lost between the new samples (RMS): " + ", ".join(
+                f"{name} {rms:.2g}" for name, rms in self.lost.items()
             )
         if self.gaps:
             words += "; bridged gaps at " + ", ".join(

@@ -178,7 +178,9 @@ def test_words(study: Study) -> str:
 
 _CAPTIONS = {
     "parameters": "Each parameter over the experiments, with its interval where one may be claimed.",
-    "cross_validation": "Fit of every parameter set on every record.",
+    "cross_validation": "Fit of every parameter set on every record, by which the set is selected: mean of the outputs "
+    "and, as in the paper, of the motors' speeds (v_m1 ...), which where they are not recorded are the smoothed "
+    "derivatives of the angles.",
     "profiles": "Profile likelihoods: the least cost over all other parameters, above the least of all; the interval "
     "is where it stays below the dashed line. The grey parabola is what the standard error says.",
     "residuals": "Residuals of the selected set on the records that it was fitted to: autocorrelation, distribution.",
@@ -224,7 +226,7 @@ def study_page(
 
 
 def _usable(study: Study) -> str:
-    """How many parameters may be used on their own."""
+    """How many parameters may be used by themselves."""
     usable = sum(one.grade in ("A", "B") for one in study.reliability)
     return f"{usable} of {count(len(study.names), 'parameter')} can be relied on."
 
@@ -242,5 +244,5 @@ def _lead(dataset: Dataset, study: Study, residuals: Residuals | None) -> str:
         words += f" Its residual is {'noise' if noise else 'not only noise: see Residuals'}."
     unclaimed = study.identifiability.not_claimable
     if unclaimed:
-        words += f" Of {', '.join(unclaimed)} these records tell no value of their own."
+        words += f" These records give no interval for {', '.join(unclaimed)}."
     return words

@@ -51,7 +51,7 @@ def findings_list(findings: Sequence[Finding]) -> RenderableType:
 
 
 def identifiability_table(identified: Identifiability) -> RenderableType:
-    """What is not identifiable in words, the combinations that are, and which parameters are on their own."""
+    """What is not identifiable in words, the combinations that are, and parameters without an interval."""
     parts: list[RenderableType] = []
     if identified.directions:
         number = f"{count(len(identified.directions), 'direction')} of {len(identified.names)}"
@@ -69,12 +69,11 @@ def identifiability_table(identified: Identifiability) -> RenderableType:
     if cells:
         parts.append(two_a_row(["what the records identify", "predicted ± (95 %)>"], cells))
     if identified.not_claimable:
-        parts.append(
-            Text(
-                f"no interval may be claimed for {', '.join(identified.not_claimable)} on their own",
-                style="yellow",
-            )
+        alone = ", ".join(identified.not_claimable)
+        words = (
+            f"{alone} {'has' if len(identified.not_claimable) == 1 else 'have each'} no interval by itself"
         )
+        parts.append(Text(words, style="yellow"))
     elif identified.directions:
         parts.append(Text("with the priors every parameter has an interval of its own", style="green"))
     return Group(*parts)

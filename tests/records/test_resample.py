@@ -97,7 +97,7 @@ def test_longer_step_reports_what_is_lost() -> None:
     record = Record("a", time, {"u1": time}, {"q_m1": np.sin(2 * np.pi * 80 * time)})
     _, report = resample_record(record, 0.01)
     assert report.lost["q_m1"] > 0.3
-    assert "not carried over: q_m1" in report.message
+    assert "lost between the new samples (RMS): q_m1 0." in report.message
 
 
 def test_gaps_are_refused_or_reported(rng) -> None:

@@ -173,6 +173,13 @@ def test_a_fit_worse_than_the_mean_is_said(study: Study) -> None:
     assert "but for run_3 (normalised RMSE 2.7, median 0.02); check signs, units and columns there" in one
 
 
+def test_parameters_without_an_interval_are_spoken_of_as_one_or_several(study: Study) -> None:
+    for count, words in ((1, " has no interval by itself"), (2, " have each no interval by itself")):
+        claimable = np.arange(len(study.names)) >= count
+        found = replace(study.identifiability, claimable=claimable)
+        assert ", ".join(study.names[:count]) + words in text_of(identifiability_table(found))
+
+
 @pytest.mark.parametrize("role", ["test", "validation"])
 def test_that_a_fit_predicts_worse_than_the_nominal_values_is_said(dataset: Dataset, role: str) -> None:
     """The train records are of another drive than the last record, whose values are the nominal ones."""
