@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from hybrid_id.identification.costate import Gradient, gradient
 from hybrid_id.identification.least_squares import LeastSquares
 from hybrid_id.identification.networks import Projection, linearise_with_weights
-from hybrid_id.identification.objective import Loss, evaluate, evaluate_condensed
+from hybrid_id.identification.objective import Evaluation, Loss, evaluate, evaluate_condensed
 from hybrid_id.simulation.lifted import condense
 from hybrid_id.simulation.solvers import OdeEngine
 
@@ -175,6 +175,36 @@ class Problem(LeastSquares):
             metric[:, tail, tail] = size[:, None].expand(-1, len(tail))
         return metric
 
+    def evaluated(self, q: Tensor, nodes: Tensor) -> Evaluation:
+        """Sensitivities of the outputs to first states, parameters and, last, the weights of networks.
+
+        Args:
+            q: decision vector.
+            nodes: the free run there.
+        """
+        self.set_weights(q)
+        theta, exact = self.theta(q)[:, self.sets], replace(self.engine, gradient="backprop")
+        if self._networks:
+            lin = linearise_with_weights(self.system, exact, self.batch, nodes, theta, self.free)
+            return evaluate_condensed(self.batch, nodes, lin, condense(lin, nodes), self.loss)
+        return evaluate(self.system, exact, self.batch, nodes, theta, self.free, loss=self.loss, chunk=1)
+
+    @property
+    def _networks(self) -> bool:
+        """Whether the weights beyond the table are those of networks, by which it is linearised."""
+        return bool(self.extra) and self.weights == self.network_weights
+
+    def held(self, cost: Tensor) -> Tensor:
+        """Information that holds each parameter, in units of its size, and each weight beside the records, ``(G, n)``.
+
+        Args:
+            cost: at the end of the fit, which tells the noise.
+        """
+        noise = 2.0 * cost / self.data
+        prior = self.bounds.prior_precision * self.unit.square() + (noise / OPEN_SHARE**2)[:, None]
+        weights = self.weights if self._networks else 0
+        return torch.cat([prior, prior.new_full((len(prior), weights), float(noise[0]))], 1)
+
     def curvature(self, q: Tensor, nodes: Tensor, cost: Tensor) -> Tensor:
         """Gauss-Newton matrix in the parameters and first states, ``(G, n, n)``, from forward sensitivities.
 
@@ -185,35 +215,22 @@ class Problem(LeastSquares):
             nodes: the free run there.
             cost: the cost there.
         """
-        self.set_weights(q)
-        theta, n_f, n_x = self.theta(q), len(self.free), self.batch.x.shape[2]
-        size = q.shape[1] - self.weights
-        exact = replace(self.engine, gradient="backprop")
-        networks = bool(self.extra) and self.weights == self.network_weights
-        if networks:
-            lin = linearise_with_weights(
-                self.system, exact, self.batch, nodes, theta[:, self.sets], self.free
-            )
-            at, size = evaluate_condensed(self.batch, nodes, lin, condense(lin, nodes), self.loss), q.shape[1]
-        else:
-            at = evaluate(
-                self.system, exact, self.batch, nodes, theta[:, self.sets], self.free, loss=self.loss, chunk=1
-            )
+        return self.assembled(self.evaluated(q, nodes), q, cost)
+
+    def assembled(self, at: Evaluation, q: Tensor, cost: Tensor) -> Tensor:
+        """The Gauss-Newton matrix from sensitivities at q."""
+        n_f, n_x, networks = len(self.free), self.batch.x.shape[2], self._networks
+        size = q.shape[1] if networks else q.shape[1] - self.weights
         unit = self.batch.x0_std.where(self.batch.x0_std > 0, torch.ones_like(self.batch.x0_std))
         one = unit.new_ones(len(unit), self.weights if networks else 0)
         factor = torch.cat([unit, self.unit.expand(len(unit), -1), one], 1)
         hessian = at.hessian * factor[:, :, None] * factor[:, None, :]
         full = torch.eye(size, dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
-        prior = (
-            self.bounds.prior_precision * self.unit.square()
-            + (2.0 * cost / self.data / OPEN_SHARE**2)[:, None]
-        )
         shared = [*range(n_f), *range(size - one.shape[1], size)]
-        own = torch.cat(
-            [prior, prior.new_full((len(q), one.shape[1]), float((2.0 * cost / self.data)[0]))], 1
-        )
         grid = torch.tensor(shared, device=q.device)
-        full[:, grid[:, None], grid] = torch.diag_embed(own).index_add(0, self.sets, hessian[:, n_x:, n_x:])
+        full[:, grid[:, None], grid] = torch.diag_embed(self.held(cost)).index_add(
+            0, self.sets, hessian[:, n_x:, n_x:]
+        )
         if self.penalty is not None and networks:
             tail = slice(size - self.weights, size)
             full[:, tail, tail] += self.penalty.curvature()

@@ -10,7 +10,7 @@ Sources: Y. Yin et al., APHYNITY, ICLR 2021 (least-norm augmentation); L. Preche
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,8 +26,9 @@ from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.networks import with_scales
+from hybrid_id.identification.objective import Evaluation
 from hybrid_id.identification.optimizers import QuasiNewtonState, prolonged
-from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.result import FitResult, sensitivities
 from hybrid_id.identification.training_loop import (
     Found,
     HybridOptions,
@@ -43,6 +44,9 @@ from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
+Spread = Callable[[list[np.ndarray], list[np.ndarray], np.ndarray], np.ndarray]
+"""Standard errors by the weighted sensitivities and residuals of each record, and the information of priors."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rung:
@@ -54,8 +58,10 @@ class Rung:
         train, validation: loss per measurement; that of validation records is :func:`.training_loop.typical`.
         iterations: gradients up to here.
         status: how the training ended.
-        errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown too.
+        errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown
+            too.
         loose: the same without the price, which alone keeps a parameter where a network could do its work.
+        plain: those without the price if residuals had no memory: what the records alone tell apart.
     """
 
     price: float
@@ -66,6 +72,7 @@ class Rung:
     status: str
     errors: np.ndarray
     loose: np.ndarray
+    plain: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +110,7 @@ def train_hybrid(
     checkpoint: Path | None = None,
     resume: Path | None = None,
     progress: Progress | None = None,
+    spread: Spread | None = None,
 ) -> HybridResult:
     """Train one set of parameters and weights over all rows of a batch.
 
@@ -118,6 +126,7 @@ def train_hybrid(
         checkpoint: file that holds the training after each gradient.
         resume: checkpoint of the same training to go on from, to the same numbers.
         progress: called with (stage, gradients so far, loss per measurement); true ends the training.
+        spread: standard errors that allow for correlated residuals, which count where they are larger.
 
     Raises:
         InputError: no network, nothing to estimate, or a checkpoint of another training.
@@ -170,7 +179,7 @@ def train_hybrid(
         interrupted = True
     found = [alone, *training.found]
     trainer.whole = trainer.whole.to(torch.float64)  # standard errors ask for all digits
-    rungs = [_rung(trainer, price, f) for price, f in zip((torch.inf, *prices), found, strict=False)]
+    rungs = [_rung(trainer, price, f, spread) for price, f in zip((torch.inf, *prices), found, strict=False)]
     chosen = choose([f.validation for f in found], options.worth)
     return HybridResult(physics, tuple(rungs), chosen, replace(engine, gradient="backprop"), interrupted)
 
@@ -223,7 +232,7 @@ def choose(losses: Sequence[Tensor], worth: float) -> int:
     return len(losses) - 1
 
 
-def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
+def _rung(trainer: Trainer, price: float, found: Found, spread: Spread | None) -> Rung:
     """A rung as a system of its own, with standard errors from the Gauss-Newton matrix of all that it trained."""
     system, theta = trainer.whole.system, found.theta.double()
     values = {  # single precision rounds bounds, too
@@ -238,19 +247,54 @@ def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
         0
     ].nan_to_num(0.0)
 
-    def errors(at: float) -> np.ndarray:
+    def errors(at: float) -> tuple[np.ndarray, np.ndarray]:
+        """Standard errors as residuals without memory give them, and the larger of these and those of ``spread``."""
         if not np.isfinite(found.train):  # its free run was lost, and says nothing
-            return np.full(len(values), np.nan)
+            return np.full(len(values), np.nan), np.full(len(values), np.nan)
         problem = trainer.problem(Stage(0, at, None, False), training)
         assert problem is not None  # whole records need no windows
-        noise = theta.new_full((1,), found.train * float(problem.data[0]))
-        matrix = problem.curvature(problem.start(theta), nodes, noise)[0]
+        cost = theta.new_full((1,), found.train * float(problem.data[0]))
+        q = problem.start(theta)
+        sensitivity = problem.evaluated(q, nodes)
+        matrix = problem.assembled(sensitivity, q, cost)[0]
         keep = slice(None) if price < torch.inf else slice(0, len(matrix) - problem.weights)
-        spread = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[: len(problem.free)]
-        return ((2.0 * found.train * spread.clamp_min(0.0)).sqrt() * problem.unit).cpu().numpy()
+        inverse = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[: len(problem.free)]
+        plain = ((2.0 * found.train * inverse.clamp_min(0.0)).sqrt() * problem.unit).cpu().numpy()
+        if spread is None:
+            return plain, plain
+        moved = len(problem.free) + (problem.weights if price < torch.inf else 0)
+        found_by = spread(*_evidence(problem, sensitivity, cost, len(batch.outputs), moved))
+        return plain, np.maximum(plain, problem.unit.cpu().numpy() * found_by[: len(problem.free)])
 
-    loose = errors(0.0)
+    plain, loose = errors(0.0)
     return Rung(
         price, system.with_values(values), found.train, typical(found.validation), found.iterations,
-        found.status, errors(price) if 0.0 < price < torch.inf else loose, loose,
+        found.status, errors(price)[1] if 0.0 < price < torch.inf else loose, loose, plain,
     )  # fmt: skip
+
+
+def _evidence(
+    problem: Problem, at: Evaluation, cost: Tensor, measured: int, moved: int
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Sensitivities and residuals of each record, and the information that holds parameters and weights beside them.
+
+    Parameters are in units of their size, residuals in those of their own RMS.
+
+    Args:
+        problem: of one set.
+        at: sensitivities at its end.
+        cost: there.
+        measured: number of outputs that are measured; those behind them are prices, which hold the networks.
+        moved: number of parameters and weights that were fitted; the others stand still.
+    """
+    rows, n_f = torch.arange(problem.batch.rows, device=cost.device), len(problem.free)
+    jacobians, residuals = sensitivities(at, rows, rows, problem.batch, Options(loss=problem.loss))
+    noise = float(2.0 * cost / problem.data)
+    size = np.concatenate([problem.unit.cpu().numpy(), np.ones(moved - n_f)]) / math.sqrt(noise)
+    scaled = [part[..., :moved] * size for part in jacobians]
+    prior = np.diag(problem.held(cost)[0, :moved].cpu().numpy()) / noise
+    prior += sum(np.einsum("tyi,tyj->ij", part[:, measured:], part[:, measured:]) for part in scaled)
+    if problem.penalty is not None and moved > n_f:
+        prior[n_f:, n_f:] += problem.penalty.curvature().cpu().numpy() / noise
+    left = [part[:, :measured] / math.sqrt(noise) for part in residuals]
+    return [part[:, :measured] for part in scaled], left, prior

@@ -25,6 +25,7 @@ from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.residuals import ResidualTest
+from hybrid_id.statistics.uncertainty import jackknife_covariance, robust_covariance
 from hybrid_id.study.checks import residual_tests
 from hybrid_id.study.replays import batch_of, weighted_errors
 from hybrid_id.study.result import Study
@@ -82,7 +83,7 @@ class HybridStudy:
     def blur(self) -> np.ndarray:
         """Growth of each standard error, per unit of what the model misses, by the networks without a price."""
         first, chosen = self.result.rungs[0], self.result.rungs[self.result.chosen]
-        return (chosen.loose / chosen.train**0.5) / np.maximum(first.errors / first.train**0.5, 1e-300)
+        return (chosen.plain / chosen.train**0.5) / np.maximum(first.plain / first.train**0.5, 1e-300)
 
     def against(self, name: str) -> list[str]:
         """What the networks may have done to a parameter, so that it does not mean what its name says."""
@@ -155,7 +156,7 @@ def hybridise(
     batch, looked = (batch_of(dataset, system, part, signal_share, device) for part in (train, held))
     result = train_hybrid(
         copy.deepcopy(system).to(device), batch, looked, engine=engine, options=options, writer=writer,
-        checkpoint=checkpoint, resume=resume, progress=progress,
+        checkpoint=checkpoint, resume=resume, progress=progress, spread=correlated_errors,
     )  # fmt: skip
     system, batch = copy.deepcopy(system).to("cpu"), batch.to("cpu")  # what follows is done once
     for trained in (result.physics, *result.rungs):
@@ -175,6 +176,14 @@ def hybridise(
         {name: (misses[0][name], misses[1][name]) for name in everything.names},
         result.physics.noise_scale, own, level,
     )  # fmt: skip
+
+
+def correlated_errors(
+    jacobians: list[np.ndarray], residuals: list[np.ndarray], prior: np.ndarray
+) -> np.ndarray:
+    """Standard errors that allow for correlated residuals: the larger of the long-run and the jackknife ones."""
+    ways = (robust_covariance, jackknife_covariance)
+    return np.max([way(jacobians, residuals, prior_precision=prior).std_error for way in ways], axis=0)
 
 
 def split(
