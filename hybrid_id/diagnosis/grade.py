@@ -199,7 +199,8 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     What was tried and not selected has the base rate, which small effects have that records do not exclude. It has
     more as far as what remains at the joint is the robot's, and not the others' noise or other values in each record:
     the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it, and to
-    those without any of what remains where that may be next to nothing.
+    those without any of what remains where that may be next to nothing. What remains may be more than the gap, where
+    what is selected predicts worse than nothing; other values explain at most the gap of it all the same.
 
     As far as something remains, what is selected may be the image of what the catalogue lacks, as a wave over the angle
     is of a latch: its probability is so much nearer to the least that is asserted. Where a substantial share surely
@@ -210,11 +211,12 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         refuted: effects that the robot has refuted.
         left: share of the structure in the joint's errors that each record's own values of the robot leave.
     """
-    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * found.remainder, 1e-12)
+    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * min(found.remainder, 1.0), 1e-12)
+    measurable = max(gap, CRITERIA.least_fall)  # shares of less than that say nothing
     remainder, surely, most = (left * r / gap for r in (found.remainder, *found.remainder_interval))
     lacks = found.coloured and left > CRITERIA.coloured and surely >= CRITERIA.substantial
     bare = gap if lacks else max(1.0 - found.remainder, 1e-12)
-    doubt = _of_an_image(found.effects, remainder)
+    doubt = _of_an_image(found.effects, min(remainder, 1.0))
 
     def rated(c: RatedEffect) -> RatedEffect:
         known = (c.name, c.where) in refuted
@@ -223,11 +225,11 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         if not c.selected:
             return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
         low, high = c.share_interval or (0.0, 0.0)
-        share = None if c.share is None else c.share / gap
+        share = None if c.share is None else c.share / measurable
         return replace(
             c,
             share=share,
-            alone=c.alone and c.alone / gap,
+            alone=c.alone and c.alone / measurable,
             share_interval=c.share_interval
             and (low, min(max(high, c.share or 0.0) / bare, max(high, share or 0.0, 1.0))),
         )

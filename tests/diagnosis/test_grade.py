@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hybrid_id.diagnosis.criteria import CRITERIA
@@ -338,6 +338,22 @@ def test_what_other_values_in_each_record_explain_is_no_part_of_a_robots_gap() -
         0.684
     )
     assert of_robot(found, (), 0.0).remainder == 0.0 and not of_robot(found, (), 0.0).unknown
+
+
+@given(
+    share=st.floats(-2.0, 0.99), p=st.floats(0.0, 1.0), others=st.floats(0.0, 0.5), left=st.floats(0.0, 1.0)
+)
+@example(share=-0.24, p=0.92, others=0.0, left=0.122)  # one that predicts worse: once -7e10 came of it
+def test_probabilities_and_shares_stay_such_whatever_remains(
+    share: float, p: float, others: float, left: float
+) -> None:
+    """What is selected may predict worse than nothing, so that more than the gap remains."""
+    one = RatedEffect(*SPRING, p, True, (), {}, share=share, share_interval=(share, 1.0), others=others)
+    found = of_robot(Grade((one,), 1.0 - share, (0.0, 1.0), False, 10.0, 0.9), (), left)
+    (rated,) = found.effects
+    assert 0.0 <= rated.probability <= p and 0.0 <= rated.others <= others
+    assert rated.share is not None and abs(rated.share) <= abs(share) / CRITERIA.least_fall
+    assert 0.0 <= found.remainder <= max(1.0, 1.0 - share) + 1e-9 and 0.0 < found.gap <= 10.0
 
 
 @pytest.mark.parametrize("left", [1.0, 0.3])
