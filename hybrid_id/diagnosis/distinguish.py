@@ -3,7 +3,7 @@
 A joint by itself takes the others as they were measured. To it a wrong zero of its encoder and a torque at its load may
 be one and the same: either shifts the angle that is measured. To its neighbours they are two things: with the torque
 the link is where it was measured, with the wrong zero it is not, and its weight pulls elsewhere. So all joints are
-simulated, once with each of the explanations.
+simulated, once with each of the explanations, and without what little else the neighbours are said to lack.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import replace
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.fits import without_priors
-from hybrid_id.diagnosis.grade import tied_step
+from hybrid_id.diagnosis.grade import tied_steps
 from hybrid_id.diagnosis.model import FittedModel, added_effect
 from hybrid_id.diagnosis.screen import SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
@@ -42,7 +42,7 @@ def distinguished(robot: WholeRobot) -> dict[str, Answer]:
     for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
         robot.say("the whole robot", k, len(large) + 1)
         answer, (step, _, equals) = found[name], ties[name]
-        chosen = {joint: held(one.found.chosen, one) for joint, one in found.items()}
+        chosen = {joint: held(_large_model(one, parts[joint]), one) for joint, one in found.items()}
         alike = _held_alike(equals, robot.drives[name])
         compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in alike])
         if compared is None:
@@ -59,16 +59,34 @@ def distinguished(robot: WholeRobot) -> dict[str, Answer]:
 def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | None:
     """The step that has left a joint's explanations open, the share of that which leads, and these; None without any.
 
-    Of those that its records accept by themselves: another is none that could stand alone.
+    Of several the one about most of the gap. Of those that its records accept by themselves: another is none that
+    could stand alone.
     """
-    step, equals = tied_step(answer.found, answer.searched.steps)
-    if step is None or step.leader is None or step.shown or answer.searched.near is not None:
+    if answer.searched.near is not None:
         return None
-    accepted = accepted_ones(step)
-    able = [one for one in equals if one in accepted]
-    lead = added_effect(step.leader, step.before)
-    share = next((c.share for c in answer.grade.effects if (c.name, c.where) == lead), None)
-    return (step, share or 0.0, able) if len(able) > 1 and step.leader in able else None
+    shares = {(c.name, c.where): c.share or 0.0 for c in answer.grade.effects}
+    found = []
+    for step, equals in tied_steps(answer.found, answer.searched.steps):
+        accepted = accepted_ones(step)
+        able = [one for one in equals if one in accepted]
+        if step.leader in able and not step.shown and len(able) > 1:
+            found.append((step, shares.get(added_effect(step.leader, step.before), 0.0), able))
+    return max(found, key=lambda one: one[1], default=None)
+
+
+def _large_model(answer: Answer, part: float) -> FittedModel:
+    """What stands for a joint beside another one's explanations: its model, or its re-fitted one.
+
+    The latter where its effects explain no substantial share of the robot's gap: they may be the image of one of the
+    explanations, as a tilted base is of a wrong zero before the joint, and speak for the others.
+
+    Args:
+        answer: of the joint.
+        part: share of the joint in the robot's gap.
+    """
+    if part * answer.grade.explained >= CRITERIA.substantial:
+        return answer.found.chosen
+    return answer.searched.base
 
 
 def _held_alike(equals: Sequence[FittedModel], nominal: System) -> list[FittedModel]:

@@ -494,11 +494,14 @@ def tied_models(found: Selection) -> list[list[FittedModel]]:
     return [equals for equals in groups if len(equals) > 1]
 
 
-def tied_step(
+def tied_steps(
     found: Selection, steps: Sequence[SelectionStep]
-) -> tuple[SelectionStep | None, list[FittedModel]]:
-    """The same with the step that has compared them, of some steps; the whole robot's has the last word on its own."""
-    known = set[tuple[Name, ...]]()
+) -> list[tuple[SelectionStep, list[FittedModel]]]:
+    """The same, each with the step that has compared them, of some steps.
+
+    The whole robot's has the last word on its own.
+    """
+    known, ties = set[tuple[Name, ...]](), []
     for step in sorted(steps, key=lambda one: not one.odds):
         if step.leader is None or step.leader.effects != found.chosen.effects:
             continue
@@ -508,8 +511,8 @@ def tied_step(
         if step.odds:
             known |= {e.effects for e in step.candidates}
         if len(equals) > 1:
-            return step, equals
-    return None, []
+            ties.append((step, equals))
+    return ties
 
 
 def tied_sets(found: Sequence[RatedEffect]) -> list[tuple[str, ...]]:

@@ -25,6 +25,7 @@ from hybrid_id.diagnosis.screen import (
     Progress,
     SelectionStep,
     Shown,
+    by_prediction,
     needed_fall,
     promising,
     selection_step,
@@ -197,6 +198,7 @@ def _search(
         so_far.model = _freed(fits, _with_whole_numbers(fits, best))
         if before.effects:
             so_far.model = _necessary(fits, so_far.base, so_far.model, steps)
+            steps[:] = [_with_fit(one, so_far.model) for one in steps]
             if len(so_far.model.effects) <= len(before.effects) and not _better_set(so_far.model, before):
                 break
     so_far.asked = None
@@ -372,6 +374,18 @@ def _with_whole_numbers(fits: Fits, chosen: FittedModel) -> FittedModel:
     return (
         one if one is not None and one.validation.fall(chosen.validation) > -CRITERIA.least_fall else chosen
     )
+
+
+def _with_fit(step: SelectionStep, model: FittedModel) -> SelectionStep:
+    """A step in which a candidate has ended as well as the fit that the search has come to since, by another way.
+
+    Else the odds would be those of a fit that has failed.
+    """
+    some = [e for e in step.candidates if e.effects == model.effects and e.error > model.error]
+    if step.swap or not some or not model.judged:
+        return step
+    ends = sorted((model, *(e for e in step.candidates if e not in some)), key=by_prediction)
+    return _accepted_first(replace(step, candidates=tuple(simplest_first(ends, step.before))))
 
 
 def _better_set(model: FittedModel, before: FittedModel) -> bool:

@@ -14,8 +14,8 @@ from servo_arm import described, of_joint, records_of
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY, Component
 from hybrid_id.diagnosis.diagnose import Answer
-from hybrid_id.diagnosis.distinguish import _compared, _held_alike, distinguished
-from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_step
+from hybrid_id.diagnosis.distinguish import _compared, _held_alike, _large_model, _tie, distinguished
+from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_steps
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.validation import Validation
@@ -55,8 +55,7 @@ def biased(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, dict[str,
 
 def wrong_first(answer: Answer) -> Answer:
     """The answer as a few records less could have made it: its only rival before it."""
-    step, (best, rival) = tied_step(answer.found, answer.searched.steps)
-    assert step is not None
+    ((step, (best, rival)),) = tied_steps(answer.found, answer.searched.steps)
     turned, (leading,) = replace(step, candidates=(rival, best)), rival.effects
     effects = tuple(replace(c, share=1.0 * ((c.name, c.where) == leading)) for c in answer.grade.effects)
     return replace(
@@ -99,6 +98,29 @@ def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
     parts = {"lift": 0.05, "elbow": 0.95}
     monkeypatch.setattr("hybrid_id.diagnosis.distinguish.parts_of_gap", lambda *_: (parts, {}))
     assert distinguished(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
+
+
+@pytest.mark.parametrize(("part", "shown"), [(0.5, "chosen"), (0.05, "base"), (1e-4, "base")])
+def test_a_neighbours_little_claims_take_no_part(part: float, shown: str) -> None:
+    """They may be the image of one of the explanations, as a tilted base is of a wrong zero."""
+    answer: Any = SimpleNamespace(
+        found=SimpleNamespace(chosen="chosen"), searched=SimpleNamespace(base="base"),
+        grade=SimpleNamespace(explained=0.9),
+    )  # fmt: skip
+    assert _large_model(answer, part) == shown
+
+
+def test_of_several_ties_the_one_about_most_of_the_gap_is_asked(
+    biased: tuple[Dataset, dict[str, Answer]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, answers = biased
+    ((step, equals),) = tied_steps(answers["lift"].found, answers["lift"].searched.steps)
+    others = [replace(one, effects=(("backlash", "joint2/transmission"),)) for one in equals]
+    small = replace(step, candidates=tuple(others)), others  # nothing is known of their share
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.tied_steps", lambda *_: [small, (step, equals)])
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.accepted_ones", lambda step: step.candidates)
+    tie = _tie(answers["lift"])
+    assert tie is not None and tie[0] is step
 
 
 def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(

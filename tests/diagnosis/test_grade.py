@@ -22,6 +22,7 @@ from hybrid_id.diagnosis.grade import (
     structural_share,
     tied_models,
     tied_sets,
+    tied_steps,
 )
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.screen import SelectionStep
@@ -141,6 +142,16 @@ def test_two_that_explain_alike_are_asserted_as_one_of_both() -> None:
     three = grade(NONE, search((base, spring, weight, model(1.005, BIAS, seed=3))), 0.0)
     assert share_of(three, SPRING).probability < CRITERIA.least_probability
     assert not doubtful(found) and not doubtful(three)  # together they are probable
+
+
+def test_each_step_that_has_left_rivals_of_the_chosen_model_open_is_a_tie() -> None:
+    """Those of the first effect, beside the second, and those of the second beside the first."""
+    base, spring = model(100.0), model(10.0, SPRING)
+    both, drag = model(1.0, SPRING, BIAS, seed=1), model(1.005, SPRING, DRAG, seed=2)
+    second = SelectionStep(spring, (both, drag))
+    first = SelectionStep(model(90.0, BIAS), (both, model(1.005, WEIGHT, BIAS, seed=3)), swap=True)
+    told = Selection(base, (SelectionStep(base, (spring,)), second, first), both)
+    assert [(step, len(equals)) for step, equals in tied_steps(told, told.steps)] == [(second, 2), (first, 2)]
 
 
 def test_where_structure_is_left_what_is_not_much_less_probable_is_indistinguishable() -> None:

@@ -16,6 +16,7 @@ from hybrid_id.diagnosis.select import (
     Selection,
     _alive,
     _necessary,
+    _with_fit,
     _with_whole_numbers,
     accepted,
     best_without,
@@ -174,6 +175,26 @@ def test_of_needless_effects_the_one_whose_loss_costs_least_goes(monkeypatch: py
         monkeypatch.setattr(name, lambda fits, base, richer, effect, steps: rests[effect])
     fits: Any = None
     assert _necessary(fits, model(2.0 * NOISE), both, []) is rests[PLAY]
+
+
+def test_a_candidate_whose_fit_has_failed_takes_the_one_that_is_found_later() -> None:
+    """Its probability would be that of the failure, and what the search has chosen would not be asserted."""
+
+    def named(residual: np.ndarray, *effects: tuple[str, str]) -> FittedModel:
+        one = model(residual, *effects)
+        return replace(one, result=SimpleNamespace(**vars(one.result), names=("x",)))
+
+    base, rival, failed = (
+        named(NOISE + 9.0 * WAVE),
+        named(NOISE + WAVE, DELAY),
+        named(NOISE + 5.0 * WAVE, PLAY),
+    )
+    step, later = SelectionStep(base, (rival, failed)), named(NOISE, PLAY)
+    assert _with_fit(step, later).candidates == (later, rival)
+    assert _with_fit(step, named(NOISE + 6.0 * WAVE, PLAY)) is step
+    assert _with_fit(replace(step, swap=True), later).candidates == (rival, failed)
+    assert _with_fit(step, replace(later, judged=False)) is step
+    assert _with_fit(step, named(NOISE, DELAY, PLAY)) is step
 
 
 def test_short_runs_say_how_probable_the_first_effects_are_and_whole_records_what_comes_beside() -> None:
