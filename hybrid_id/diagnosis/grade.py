@@ -155,7 +155,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     }
     shares |= {name: (*shares[name][:2], True) for name in found.shown if name in shares}
     rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
-    remainder = structural * last.error / gap
+    remainder = min(structural * last.error / gap, 1.0)  # more where the model predicts worse than nothing
     explained = sum(c.share or 0.0 for c in rated if c.selected)
     interval = _interval(draws[:, -1])
     # a remainder that other records could have made the smaller part says nothing of the catalogue
@@ -199,8 +199,7 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     What was tried and not selected has the base rate, which small effects have that records do not exclude. It has
     more as far as what remains at the joint is the robot's, and not the others' noise or other values in each record:
     the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it, and to
-    those without any of what remains where that may be next to nothing. What remains may be more than the gap, where
-    what is selected predicts worse than nothing; other values explain at most the gap of it all the same.
+    those without any of what remains where that may be next to nothing. No share is more than all.
 
     As far as something remains, what is selected may be the image of what the catalogue lacks, as a wave over the angle
     is of a latch: its probability is so much nearer to the least that is asserted. Where a substantial share surely
@@ -211,12 +210,12 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         refuted: effects that the robot has refuted.
         left: share of the structure in the joint's errors that each record's own values of the robot leave.
     """
-    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * min(found.remainder, 1.0), 1e-12)
+    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * found.remainder, 1e-12)
     measurable = max(gap, CRITERIA.least_fall)  # shares of less than that say nothing
     remainder, surely, most = (left * r / gap for r in (found.remainder, *found.remainder_interval))
     lacks = found.coloured and left > CRITERIA.coloured and surely >= CRITERIA.substantial
     bare = gap if lacks else max(1.0 - found.remainder, 1e-12)
-    doubt = _of_an_image(found.effects, min(remainder, 1.0))
+    doubt = _of_an_image(found.effects, remainder)
 
     def rated(c: RatedEffect) -> RatedEffect:
         known = (c.name, c.where) in refuted
@@ -225,7 +224,7 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         if not c.selected:
             return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
         low, high = c.share_interval or (0.0, 0.0)
-        share = None if c.share is None else c.share / measurable
+        share = None if c.share is None else min(max(c.share / measurable, -1.0), 1.0)
         return replace(
             c,
             share=share,

@@ -360,11 +360,16 @@ def test_probabilities_and_shares_stay_such_whatever_remains(
 ) -> None:
     """What is selected may predict worse than nothing, so that more than the gap remains."""
     one = RatedEffect(*SPRING, p, True, (), {}, share=share, share_interval=(share, 1.0), others=others)
-    found = of_robot(Grade((one,), 1.0 - share, (0.0, 1.0), False, 10.0, 0.9), (), left)
+    found = of_robot(Grade((one,), min(1.0 - share, 1.0), (0.0, 1.0), False, 10.0, 0.9), (), left)
     (rated,) = found.effects
     assert 0.0 <= rated.probability <= p and 0.0 <= rated.others <= others
-    assert rated.share is not None and abs(rated.share) <= abs(share) / CRITERIA.least_fall
-    assert 0.0 <= found.remainder <= max(1.0, 1.0 - share) + 1e-9 and 0.0 < found.gap <= 10.0
+    assert rated.share is not None and abs(rated.share) <= 1.0
+    assert 0.0 <= found.remainder <= 1.0 + 1e-9 and 0.0 < found.gap <= 10.0
+
+
+def test_a_model_that_predicts_worse_than_nothing_leaves_all_of_the_gap() -> None:
+    worse = grade(NONE, search((model(100.0), model(124.0, SPRING))), 0.9)
+    assert worse.remainder == 1.0 and worse.remainder_interval[1] <= 1.0
 
 
 @pytest.mark.parametrize("left", [1.0, 0.3])
