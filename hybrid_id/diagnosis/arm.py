@@ -153,7 +153,7 @@ class ArmDiagnosis:
 
     def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
         """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
-        part, (least, most) = self.parts[joint], self.part_bounds[joint]
+        part, bounds = self.parts[joint], self.part_bounds[joint]
         where, sizes = self._placed(one.where, joint), one.parameters
         if one.selected:
             infos = brought_to(self.model, (one.name, one.where), self.joints[joint].model)
@@ -164,7 +164,10 @@ class ArmDiagnosis:
             tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
             share=None if one.share is None else one.share * part,
             share_interval=one.share_interval
-            and (one.share_interval[0] * least, one.share_interval[1] * most),
+            and (
+                min(one.share_interval[0] * bound for bound in bounds),
+                max(one.share_interval[1] * bound for bound in bounds),
+            ),
             alone=None if one.alone is None else one.alone * part,
             parameters=sizes,
         )

@@ -9,6 +9,7 @@ simulated, once with each of the explanations, and without what little else the 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -20,7 +21,16 @@ from hybrid_id.diagnosis.model import FittedModel, added_effect
 from hybrid_id.diagnosis.screen import SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
-from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
+from hybrid_id.diagnosis.whole_robot import (
+    UNFITTED,
+    What,
+    WholeRobot,
+    fitted,
+    held,
+    parts_of_gap,
+    train_rows,
+    what,
+)
 from hybrid_id.systems.chain import System
 
 
@@ -42,7 +52,7 @@ def distinguished(robot: WholeRobot) -> dict[str, Answer]:
     for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
         robot.say("the whole robot", k, len(large) + 1)
         answer, (step, _, equals) = found[name], ties[name]
-        chosen = {joint: held(_large_model(one, parts[joint]), one) for joint, one in found.items()}
+        chosen = _large_models(found, parts)
         alike = _held_alike(equals, robot.drives[name])
         compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in alike])
         if compared is None:
@@ -67,26 +77,37 @@ def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | Non
     shares = {(c.name, c.where): c.share or 0.0 for c in answer.grade.effects}
     found = []
     for step, equals in tied_steps(answer.found, answer.searched.steps):
-        accepted = accepted_ones(step)
+        lead, accepted = added_effect(equals[0], step.before), accepted_ones(step)
         able = [one for one in equals if one in accepted]
-        if step.leader in able and not step.shown and len(able) > 1:
-            found.append((step, shares.get(added_effect(step.leader, step.before), 0.0), able))
-    return max(found, key=lambda one: one[1], default=None)
+        if step.leader in able and len(able) > 1 and lead not in answer.found.shown:
+            found.append((step, shares.get(lead, 0.0), able))
+    # the last step about an effect has the last word
+    return max(reversed(found), key=lambda one: one[1], default=None)
 
 
-def _large_model(answer: Answer, part: float) -> FittedModel:
-    """What stands for a joint beside another one's explanations: its model, or its re-fitted one.
+def _large_models(answers: Mapping[str, Answer], parts: Mapping[str, float]) -> dict[str, FittedModel]:
+    """What stands for each joint beside another one's explanations: its model, or its re-fitted one.
 
-    The latter where its effects explain no substantial share of the robot's gap: they may be the image of one of the
-    explanations, as a tilted base is of a wrong zero before the joint, and speak for the others.
+    The latter where its effects explain no substantial share of the robot's gap, what acts on all joints wherever it is
+    claimed: they may be the image of one of the explanations, as a tilted base is of a wrong zero before the joint, and
+    speak for the others.
 
     Args:
-        answer: of the joint.
-        part: share of the joint in the robot's gap.
+        answers: of the joints.
+        parts: share of each joint in the robot's gap.
     """
-    if part * answer.grade.explained >= CRITERIA.substantial:
-        return answer.found.chosen
-    return answer.searched.base
+    shares, claimed = defaultdict[What, float](float), defaultdict[str, list[What]](list)
+    for name, one in answers.items():
+        for c in one.grade.effects:
+            if c.selected:
+                effect = what((c.name, c.where), one.found.chosen.system)
+                claimed[name].append(effect)
+                shares[effect] += parts[name] * (c.share or 0.0)
+    large = {effect for effect, share in shares.items() if share >= CRITERIA.substantial}
+    return {
+        name: held(one.found.chosen if large.intersection(claimed[name]) else one.searched.base, one)
+        for name, one in answers.items()
+    }
 
 
 def _held_alike(equals: Sequence[FittedModel], nominal: System) -> list[FittedModel]:

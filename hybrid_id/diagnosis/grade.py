@@ -141,7 +141,10 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     models, steps = _ladder(fits, found)
     first, last = models[0].validation, models[-1].validation
     floor = last.error * (1.0 - structural)
-    gap = max(first.error - floor, 1e-12 * max(first.error, 1e-300))
+    # no share is more than all, nor where the model predicts worse than nothing
+    gap = max(
+        first.error - floor, last.error - floor, last.error - first.error, 1e-12 * max(first.error, 1e-300)
+    )
     generator = np.random.default_rng(seed)
     # what a model leaves differs more from record to record than within one: blocks would make shares too sure
     draws, of_blocks = (
@@ -155,7 +158,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     }
     shares |= {name: (*shares[name][:2], True) for name in found.shown if name in shares}
     rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
-    remainder = min(structural * last.error / gap, 1.0)  # more where the model predicts worse than nothing
+    remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
     interval = _interval(draws[:, -1])
     # a remainder that other records could have made the smaller part says nothing of the catalogue
@@ -224,13 +227,15 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         if not c.selected:
             return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
         low, high = c.share_interval or (0.0, 0.0)
-        share = None if c.share is None else min(max(c.share / measurable, -1.0), 1.0)
+        share, alone = (
+            None if size is None else min(max(size / measurable, -1.0), 1.0) for size in (c.share, c.alone)
+        )
+        least, most = min(low, share or 0.0), max(high, c.share or 0.0, 0.0)
         return replace(
             c,
             share=share,
-            alone=c.alone and c.alone / measurable,
-            share_interval=c.share_interval
-            and (low, min(max(high, c.share or 0.0) / bare, max(high, share or 0.0, 1.0))),
+            alone=alone,
+            share_interval=c.share_interval and (least, min(most / bare, max(most, share or 0.0, 1.0))),
         )
 
     return replace(

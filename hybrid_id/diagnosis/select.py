@@ -185,7 +185,7 @@ def _search(
             break
         before = _refit_before(fits, so_far.base, best, model)
         so_far.base = so_far.base if before.effects else before
-        steps[-1] = replace(step, before=before)
+        steps[:] = [*(_with_fit(one, before) for one in steps[:-1]), replace(step, before=before)]
         if not accepted(best, before, step.candidates):
             so_far.model, so_far.asked = before, None
             if before is model or restarted:
@@ -377,14 +377,16 @@ def _with_whole_numbers(fits: Fits, chosen: FittedModel) -> FittedModel:
 
 
 def _with_fit(step: SelectionStep, model: FittedModel) -> SelectionStep:
-    """A step in which a candidate has ended as well as the fit that the search has come to since, by another way.
+    """A step in which a candidate has ended where the search has come to since by another way, if clearly better.
 
-    Else the odds would be those of a fit that has failed.
+    Else the odds would be those of a fit that has failed, be it without one record alone, so that it need not be sure.
     """
-    some = [e for e in step.candidates if e.effects == model.effects and e.error > model.error]
-    if step.swap or not some or not model.judged:
+    known = next((e for e in step.candidates if e.effects == model.effects), None)
+    if known is None or step.swap or not model.judged:
         return step
-    ends = sorted((model, *(e for e in step.candidates if e not in some)), key=by_prediction)
+    if known.judged and model.error >= (1.0 - CRITERIA.distinct_fall) * known.error:
+        return step
+    ends = sorted((model if e is known else e for e in step.candidates), key=by_prediction)
     return _accepted_first(replace(step, candidates=tuple(simplest_first(ends, step.before))))
 
 

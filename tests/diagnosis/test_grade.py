@@ -352,24 +352,36 @@ def test_what_other_values_in_each_record_explain_is_no_part_of_a_robots_gap() -
 
 
 @given(
-    share=st.floats(-2.0, 0.99), p=st.floats(0.0, 1.0), others=st.floats(0.0, 0.5), left=st.floats(0.0, 1.0)
-)
-@example(share=-0.24, p=0.92, others=0.0, left=0.122)  # one that predicts worse: once -7e10 came of it
+    share=st.floats(-1.0, 0.99), end=st.floats(-1.0, 1.0), p=st.floats(0.0, 1.0), others=st.floats(0.0, 0.5),
+    left=st.floats(0.0, 1.0),
+)  # fmt: skip
+@example(
+    share=-0.24, end=-0.1, p=0.92, others=0.0, left=0.122
+)  # one that predicts worse: once -7e10 came of it
 def test_probabilities_and_shares_stay_such_whatever_remains(
-    share: float, p: float, others: float, left: float
+    share: float, end: float, p: float, others: float, left: float
 ) -> None:
-    """What is selected may predict worse than nothing, so that more than the gap remains."""
-    one = RatedEffect(*SPRING, p, True, (), {}, share=share, share_interval=(share, 1.0), others=others)
+    """What is selected may predict worse than nothing, and other values may explain all that remains."""
+    low, high = min(share, end), max(share, end)
+    one = RatedEffect(
+        *SPRING, p, True, (), {}, share=share, share_interval=(low, high), others=others, alone=0.5
+    )
     found = of_robot(Grade((one,), min(1.0 - share, 1.0), (0.0, 1.0), False, 10.0, 0.9), (), left)
     (rated,) = found.effects
     assert 0.0 <= rated.probability <= p and 0.0 <= rated.others <= others
-    assert rated.share is not None and abs(rated.share) <= 1.0
+    assert rated.share is not None and rated.share_interval is not None and rated.alone is not None
+    least, most = rated.share_interval
+    assert -1.0 <= least <= rated.share <= most <= 1.0 and abs(rated.alone) <= 1.0
     assert 0.0 <= found.remainder <= 1.0 + 1e-9 and 0.0 < found.gap <= 10.0
 
 
-def test_a_model_that_predicts_worse_than_nothing_leaves_all_of_the_gap() -> None:
-    worse = grade(NONE, search((model(100.0), model(124.0, SPRING))), 0.9)
-    assert worse.remainder == 1.0 and worse.remainder_interval[1] <= 1.0
+@given(first=st.floats(1.0, 100.0), last=st.floats(1.0, 300.0), structural=st.floats(0.01, 1.0))
+def test_no_share_is_more_than_all_where_a_model_predicts_worse(
+    first: float, last: float, structural: float
+) -> None:
+    found = grade(NONE, search((model(first), model(last, SPRING))), structural)
+    share = share_of(found, SPRING).share
+    assert share is not None and -1.0 - 1e-9 <= share <= 1.0 + 1e-9 and 0.0 <= found.remainder <= 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("left", [1.0, 0.3])
