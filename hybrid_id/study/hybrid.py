@@ -25,7 +25,7 @@ from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.residuals import ResidualTest
-from hybrid_id.statistics.uncertainty import jackknife_covariance, robust_covariance
+from hybrid_id.statistics.uncertainty import autocorrelation_robust
 from hybrid_id.study.checks import residual_tests
 from hybrid_id.study.replays import batch_of, weighted_errors
 from hybrid_id.study.result import Study
@@ -181,9 +181,8 @@ def hybridise(
 def correlated_errors(
     jacobians: list[np.ndarray], residuals: list[np.ndarray], prior: np.ndarray
 ) -> np.ndarray:
-    """Standard errors that allow for correlated residuals: the larger of the long-run and the jackknife ones."""
-    ways = (robust_covariance, jackknife_covariance)
-    return np.max([way(jacobians, residuals, prior_precision=prior).std_error for way in ways], axis=0)
+    """Standard errors that allow for correlated residuals, as those of a fit without networks do."""
+    return autocorrelation_robust(jacobians, residuals, prior_precision=prior).std_error
 
 
 def split(

@@ -196,7 +196,12 @@ class BesideNominal:
 
 
 def beside_nominal(
-    dataset: Dataset, system: System, result: FitResult, signal_share: float, horizon: Horizon = WHOLE
+    dataset: Dataset,
+    system: System,
+    result: FitResult,
+    signal_share: float,
+    horizon: Horizon = WHOLE,
+    tested: Mapping[str, float] | None = None,
 ) -> BesideNominal:
     """Errors of a set beside those of the nominal values that its fit started from.
 
@@ -206,12 +211,16 @@ def beside_nominal(
         result: the set.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long the free runs are.
+        tested: errors of the set on the test records, where they are known.
     """
     by_role = {"test": dataset.test, "validation": dataset.validation, "train": dataset.train}
     role, records = next((role, records) for role, records in by_role.items() if records)
+
+    def errors(one: System) -> Mapping[str, float]:
+        return errors_on(records, dataset, one, result.engine, signal_share, horizon)[0]
+
     nominal, identified = (
-        known_mean(errors_on(records, dataset, one, result.engine, signal_share, horizon)[0].values())
-        for one in (system, result.system)
+        known_mean(each.values()) for each in (errors(system), tested or errors(result.system))
     )
     return BesideNominal(role, len(records), nominal, identified)
 

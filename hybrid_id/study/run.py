@@ -237,9 +237,10 @@ def analyse_fits(
     by_record, by_output = errors_on(
         dataset.test, dataset, chosen.system, chosen.engine, signal_share, horizon
     )
+    beside = beside_nominal(dataset, system, chosen, signal_share, horizon, by_record)
     return Study(
         system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,
-        by_record, engine_error(chosen, pieces), beside_nominal(dataset, system, chosen, signal_share, horizon),
+        by_record, engine_error(chosen, pieces), beside,
         horizon=horizon, level=level, test_errors=by_output, outputs=with_joint_names(dataset.outputs, system),
         input_error=input_error,
     )  # fmt: skip
