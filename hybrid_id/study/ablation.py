@@ -30,7 +30,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.ablation_plan import BLACK_BOX, NONE, Cell, Split, split_records, with_arm
 from hybrid_id.study.fan_out import Failure, fan_out, sealed, unsealed
-from hybrid_id.study.hybrid import network_roles
+from hybrid_id.study.hybrid import correlated_errors, network_roles
 from hybrid_id.study.replays import batch_of, weighted_errors
 from hybrid_id.study.training import scalars
 from hybrid_id.systems.builders import black_box
@@ -202,7 +202,10 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
         rungs = [_rung(task, found.system, engine, train, everything, torch.inf, found.status)]
         chosen, best = 0, found.system
     else:
-        result = train_hybrid(system, train, validation, engine=task.engine, options=options, writer=history)
+        result = train_hybrid(
+            system, train, validation, engine=task.engine, options=options, writer=history,
+            spread=correlated_errors,
+        )  # fmt: skip
         if result.interrupted:
             raise KeyboardInterrupt
         rungs = [_of_ladder(task, result, k, train, everything) for k in range(len(result.rungs))]

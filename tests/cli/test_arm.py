@@ -195,13 +195,15 @@ def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -
 
 
 def test_an_arm_is_trained_with_a_network_at_a_joint_by_its_name(run, arm: Path, tmp_path: Path) -> None:
-    study = tmp_path / "study.yaml"
+    study, dataset = tmp_path / "study.yaml", Dataset.load(arm)
+    short = tuple(record.between(0.0, 0.4) for record in dataset.records)
+    replace(dataset, records=short).save(tmp_path / "short")
     study.write_text(
-        f"dataset: {arm}\nmodel: {arm / 'model.yaml'}\n"
-        "training: {max_iterations: 1, windows: [[0.2, 8]], width: 0.5, fine: 2}\n"
+        f"dataset: short\nmodel: {arm / 'model.yaml'}\n"
+        "training: {max_iterations: 1, windows: [], width: 0.5, fine: 2}\n"
         "hybrid:\n"
         "  networks: [{place: 'joint 1/x/motor_friction', inputs: [speed, angle3], hidden: [2]}]\n"
-        "  prices: [0.1]\n  windows: [[0.2, 8]]\n  max_iterations: 1\n  patience: 1\n"
+        "  prices: [0.1]\n  windows: []\n  max_iterations: 1\n  patience: 1\n"
         "output: {folder: out, tensorboard: false}\n"
     )
     done = run("train", study)
@@ -332,6 +334,7 @@ def test_check_takes_a_joint_by_itself(run, arm: Path, tmp_path: Path) -> None:
 def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(
     run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(desk_arm, "LENGTH", 2.0)
     done = run("demo", "--robot", "--out", tmp_path / "demo", "--json")
     assert done.code == 0, done.err
     found = json.loads(done.out)

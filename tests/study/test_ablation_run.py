@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from drives import make_records, multisine, rigid_drive
 from servo_arm import described
@@ -99,6 +100,19 @@ def test_physics_of_a_hybrid_cell_is_that_of_physics_only(task: Task, in_turn: l
     assert [rung.price for rung in result.rungs] == [math.inf, 1.0]
     assert {"loss/train", "loss/validation", "parameters/joint1/J"} <= set(result.history)
     assert from_plain(json.loads(json.dumps(plain(asdict(result))))) == result
+
+
+def test_errors_beside_a_network_allow_for_correlated_residuals(
+    task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def large(jacobians, residuals, prior):
+        return np.full(len(prior), 1e6)
+
+    monkeypatch.setattr("hybrid_id.study.ablation.correlated_errors", large)
+    result = next(run_cells(task, [Cell(STATIC, 0)]))
+    assert result.status == "done", result.message
+    for rung in result.rungs:
+        assert all(error > 100.0 * abs(rung.values[name]) for name, error in rung.std_errors.items())
 
 
 def test_a_network_alone_is_trained_by_the_same_machinery(task: Task) -> None:
