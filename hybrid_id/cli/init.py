@@ -150,10 +150,15 @@ def _tree(robot: Path | None) -> "RigidBodyTree | None":
 def _joints(tree: "RigidBodyTree | None") -> list[Any]:
     from hybrid_id.records.proposal import JointFacts
 
+    if tree is None:
+        return []
     return [
-        JointFacts(joint.name, *joint.limits, slide=joint.kind == "slide", servo=joint.servo is not None)
-        for joint in (tree.joints if tree else ())
-    ]
+        JointFacts(
+            joint.name, *joint.limits, joint.kind == "slide", joint.servo is not None,
+            tied.by if (tied := tree.tied.get(joint.name)) else "",
+        )
+        for joint in tree.joints
+    ]  # fmt: skip
 
 
 def _read(files: "Sequence[LogFile]") -> "tuple[list[Log], list[str]]":

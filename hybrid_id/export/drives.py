@@ -42,6 +42,7 @@ class Mjcf:
         notes: what it leaves out or carries otherwise, a sentence each.
         joints, motors: names of the joints and of their actuators there.
         home: folder that its files (meshes, includes) are named from; None where it names none.
+        held: names of joints that the system holds still; the document leaves them as they were.
     """
 
     text: str
@@ -49,6 +50,7 @@ class Mjcf:
     joints: tuple[str, ...]
     motors: tuple[str, ...]
     home: Path | None = None
+    held: tuple[str, ...] = ()
 
 
 class Drives:

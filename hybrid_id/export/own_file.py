@@ -34,6 +34,8 @@ SAME = 1e-9
 """Relative difference below which a value of the file stands."""
 AT_JOINT = (0, 1)
 """MuJoCo's numbers of transmissions to a joint: in its own frame, and in its parent's."""
+HOLDS = 1e9
+"""Rotor inertia [kg m^2 or kg] with which a replay holds a joint still."""
 OWN = "hybrid_id"
 """Class of the actuators that the drives bring, so that no default of the file reaches into these."""
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
@@ -88,19 +90,22 @@ def _untouched_base(spec: Any) -> None:
 
 
 def mujoco_model(exported: Mjcf) -> Any:
-    """MuJoCo's model of an exported system, its files found where the description's are.
+    """MuJoCo's model of an exported system, its files found where the description's are, what it holds still held.
 
     Raises:
         ValueError: MuJoCo does not take it.
     """
     import mujoco
 
-    if exported.home is None:
-        return mujoco.MjModel.from_xml_string(exported.text)  # type: ignore[attr-defined]
-    spec = mujoco.MjSpec.from_string(exported.text, include=_included(exported.text, exported.home))  # type: ignore[attr-defined]
-    spec.modelfiledir = str(exported.home)
-    without_missing_meshes(exported.home / "exported", mujoco, spec)
-    return spec.compile()
+    files = {} if exported.home is None else _included(exported.text, exported.home)
+    spec = mujoco.MjSpec.from_string(exported.text, include=files)  # type: ignore[attr-defined]
+    if exported.home is not None:
+        spec.modelfiledir = str(exported.home)
+        without_missing_meshes(exported.home / "exported", mujoco, spec)
+    model = spec.compile()
+    for name in exported.held:  # whatever pulls at it; the document's own joint may move
+        model.dof_armature[model.joint(name).dofadr] = HOLDS
+    return model
 
 
 def _included(text: str, home: Path) -> dict[str, bytes]:
@@ -247,7 +252,7 @@ class _Edit(Drives):
         own = re.compile(r"\bjoint(\d+)(?=/)")
         notes = [own.sub(lambda found: self.tree.names[int(found[1]) - 1], note) for note in self.notes]
         if self.tree.held:
-            notes.append(f"{', '.join(self.tree.held)}: held still by an equality, as in the model")
+            notes.append(f"{', '.join(self.tree.held)}: held still in the model; here as the file has it")
         if converted:
             notes.insert(
                 0, f"{self.path.name} is a URDF, which has no place for a rotor: MuJoCo made an MJCF of it"
@@ -255,8 +260,9 @@ class _Edit(Drives):
         self._sections(notes)
         files = any(e.tag == "include" or "file" in e.values for e in self.text.elements)
         return Mjcf(
-            str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None
-        )
+            str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None,
+            tuple(self.tree.held),
+        )  # fmt: skip
 
     def _new(self, tag: str, attributes: Attributes) -> str:
         """An actuator that a drive brings, in a class of its own where the file has defaults for all."""
@@ -340,23 +346,12 @@ class _Edit(Drives):
             lines += ["<actuator>", *(f"  {line}" for line in self.added), "</actuator>"]
         if self.shafts:
             lines += ["<tendon>", *(f"  {line}" for line in self.shafts), "</tendon>"]
-        if self.tree.held:
-            lines += ["<equality>", *(f"  {line}" for line in self._still()), "</equality>"]
         if self.set_step:
             lines.append(f'<option timestep="{number(self.step)}"/>')
         if self.system.arm.tilts:
             pull = self.tree.falling(self.system.arm.gravity(self.p)).gravity
             lines.append(_written("option", {"gravity": numbers(pull)}))
         self.text.append(root, lines)
-
-    def _still(self) -> list[str]:
-        """Joints that the model holds still, held there by the engine: their angle less that at which it is drawn."""
-        stiff = {"solref": f"{number(2.0 * self.step)} 1", "solimp": "0.99 0.999 0.001"}
-        apart = {name: at - float(self.model.joint(name).qpos0[0]) for name, at in self.tree.held.items()}
-        return [
-            _written("joint", {"joint1": name, "polycoef": f"{number(angle)} 0 0 0 0"} | stiff)
-            for name, angle in apart.items()
-        ]
 
     def _joint(self, joint: Joint, known: TreeJoint) -> str:
         """Write a joint's drive; returns the name of its actuator."""

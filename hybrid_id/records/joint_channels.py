@@ -96,6 +96,10 @@ def find_pair(
         joint: of the robot; None without one.
         evidence: takes what is left out, and questions.
     """
+    if joint is not None and joint.tied:
+        for one in columns:
+            evidence.leave(one.name, f"of {title}, which is held for {joint.tied}{_about(one, evidence)}")
+        return None
     rests = joint is not None and _rests(columns, evidence)
     columns = [one for one in columns if not _still(one, evidence)]
     kinds = kinds_of(columns, evidence)
@@ -105,7 +109,7 @@ def find_pair(
     command = next((kind for kind, one in found if one and (one.command or kind not in reported)), None)
     if command is None and rests:
         for one in columns:
-            at = f" ({one.name} is about {evidence.mean(one.name):.3g})" if one is angle else ""
+            at = _about(one, evidence) if one is angle else ""
             evidence.leave(one.name, f"of {title}, which is held{at}: its goal stands still in all logs")
         return None
     if command is None or not (angle or speed):
@@ -118,6 +122,10 @@ def find_pair(
             )
         return None
     return Pair(title, joint, columns, kinds, command, angle, speed)
+
+
+def _about(one: ColumnWords, evidence: Evidence) -> str:
+    return f" ({one.name} is about {evidence.mean(one.name):.3g})"
 
 
 def choose_channels(pair: Pair, number: int, evidence: Evidence) -> None:

@@ -66,13 +66,14 @@ class Guess:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """What is known of a robot's joint: name, least and largest position [rad or m], kind, and its loop."""
+    """What is known of a robot's joint: name, least and largest position [rad or m], kind, its loop, what ties it."""
 
     name: str
     low: float = -math.inf
     high: float = math.inf
     slide: bool = False
     servo: bool = False
+    tied: str = ""
 
     @property
     def range(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.robots.rows import Matrix, Vector, constant, constant_vector
-from hybrid_id.robots.tree import Body, Point, RigidBodyTree, Servo, SpatialInertia, TreeJoint, frame
+from hybrid_id.robots.tree import Body, Point, RigidBodyTree, Servo, SpatialInertia, Tie, TreeJoint, frame
 from hybrid_id.robots.walk import walk
 
 MASSLESS = 1e-12
@@ -28,14 +29,15 @@ def load_tree(path: str | Path) -> RigidBodyTree:
     """The rigid-body tree of a robot on a fixed base, with its joints named as in the file.
 
     Contacts and sensors are left out, and of the actuators all but MuJoCo's ``position`` at a joint. Of meshes that
-    are not there a body does not need any, where its inertia is written down.
+    are not there a body does not need any, where its inertia is written down. Joints that tendons and equality
+    constraints tie, as those of a gripper, are ``tied`` until they are held.
 
     Args:
         path: MJCF or URDF file.
 
     Raises:
-        InputError: the file cannot be read, or it holds what is not supported: a floating base, ball joints, tendons,
-            equality constraints (closed loops), gravity compensation, or a fluid. The sentence names the element.
+        InputError: the file cannot be read, or it holds what is not supported: a floating base, ball joints, gravity
+            compensation, or a fluid. The sentence names the element.
     """
     path = Path(path)
     spec = read_spec(path)
@@ -133,41 +135,11 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
             raise InputError(
                 f"{path}: {own} of body '{joint.parent.name}' is a {kind}, which is not supported; {cure}."
             )
-    for tendon in spec.tendons:
-        if words := _gear(mujoco, tendon):
-            raise InputError(f"{path}: tendon '{tendon.name or 'without a name'}' {words}")
-    for one in spec.equalities:
-        # MuJoCo makes a URDF's <mimic> one, without a name
-        if one.type == mujoco.mjtEq.mjEQ_JOINT and one.name2 and not one.name:
-            raise InputError(
-                f"{path}: joint '{one.name1}' follows joint '{one.name2}' (by <mimic> in a URDF), which is not "
-                f"supported; take that out and hold the joint in model.yaml, 'robot: {{file: {path.name}, hold: "
-                f"{{{one.name1}: 0.0}}}}' with its angle."
-            )
-    for kind, elements in (("tendon", spec.tendons), ("equality constraint", spec.equalities)):
-        if elements:
-            name = elements[0].name or "without a name"
-            raise InputError(
-                f"{path}: {kind} '{name}' couples joints or closes a loop, which is not supported; take it out."
-            )
     for body in spec.bodies:
         if body.mass < 0.0:
             raise InputError(f"{path}: mass of body '{body.name}' is {body.mass:g} kg; give 0 or more.")
         if body.gravcomp:
             raise InputError(f"{path}: body '{body.name}' has gravcomp, which no machine has; set it to 0.")
-
-
-def _gear(mujoco: Any, tendon: Any) -> str:
-    """What to do about a fixed tendon over several joints, as an exported coupled gear is; empty for any other one."""
-    parts = list(tendon.path)
-    if len(parts) < 2 or any(part.type != mujoco.mjtWrap.mjWRAP_JOINT for part in parts):
-        return ""
-    joints, row = ", ".join(part.target.name for part in parts), ", ".join(f"{part.coef:g}" for part in parts)
-    return (
-        f"couples the joints {joints} as a gear does, which is not read from here; take the file without it and write "
-        f"'couplings' in model.yaml (joints [{joints}], this motor's row of the matrix [{row}]), as the results' "
-        "model.yaml of an exported file has them."
-    )
 
 
 def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
@@ -229,6 +201,7 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
         constant_vector(_gravity(mujoco, model)),
         points,
         source=str(path.resolve()),
+        tied=_ties(path, mujoco, model),
     )
     if max(own + joint.armature for own, joint in zip(tree.at_zero, joints, strict=True)) <= MASSLESS:
         raise InputError(
@@ -236,6 +209,67 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
             "body its mass and inertia as <inertial>."
         )
     return tree
+
+
+def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
+    """Joints that tendons and equality constraints tie to others or to a place; those switched off tie none."""
+    found: dict[str, Tie] = {}
+
+    def tie(kind: Any, number: int, word: str, joints: Iterable[int], apart: float = 0.0) -> None:
+        title = mujoco.mj_id2name(model, kind, number)
+        by = f"{word} '{title}'" if title else f"{word} {number + 1}"
+        for j in sorted(joints):
+            at = float(model.qpos0[int(model.jnt_qposadr[j])]) + apart
+            found.setdefault(mujoco.mj_id2name(model, obj.mjOBJ_JOINT, j), Tie(by, at))
+
+    eq, obj, trn = mujoco.mjtEq, mujoco.mjtObj, mujoco.mjtTrn
+    pulled = model.actuator_trnid[model.actuator_trntype == trn.mjTRN_TENDON, 0]
+    passive = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
+    for t in range(model.ntendon):
+        if t in pulled or model.tendon_limited[t] or any(np.any(values[t]) for values in passive):
+            tie(obj.mjOBJ_TENDON, t, "tendon", _wrapped(mujoco, model, t))
+    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    for i in () if off else np.flatnonzero(model.eq_active0):
+        ends = [int(end) for end in (model.eq_obj1id[i], model.eq_obj2id[i]) if end >= 0]
+        kind, apart = eq(int(model.eq_type[i])), 0.0
+        if kind == eq.mjEQ_JOINT:
+            joints, apart = set(ends), float(model.eq_data[i][0]) if len(ends) == 1 else 0.0
+        elif kind == eq.mjEQ_TENDON:
+            joints = set().union(*(_wrapped(mujoco, model, t) for t in ends))
+        elif kind in (eq.mjEQ_CONNECT, eq.mjEQ_WELD):
+            sites = model.eq_objtype[i] == obj.mjOBJ_SITE
+            joints = _between(model, [int(model.site_bodyid[end]) if sites else end for end in ends])
+        else:
+            raise InputError(f"{path}: an equality constraint of a flex is not simulated; take it out.")
+        tie(obj.mjOBJ_EQUALITY, int(i), "equality", joints, apart)
+    return found
+
+
+def _wrapped(mujoco: Any, model: Any, tendon: int) -> set[int]:
+    """Numbers of the joints that change the length of a tendon."""
+    wrap, first = mujoco.mjtWrap, int(model.tendon_adr[tendon])
+    joints, bodies = set[int](), list[int]()
+    for k in range(first, first + int(model.tendon_num[tendon])):
+        kind, number = wrap(int(model.wrap_type[k])), int(model.wrap_objid[k])
+        if kind == wrap.mjWRAP_JOINT:
+            joints.add(number)
+        elif kind == wrap.mjWRAP_SITE:
+            bodies.append(int(model.site_bodyid[number]))
+        elif kind in (wrap.mjWRAP_SPHERE, wrap.mjWRAP_CYLINDER):
+            bodies.append(int(model.geom_bodyid[number]))
+    return joints | _between(model, bodies)
+
+
+def _between(model: Any, bodies: Sequence[int]) -> set[int]:
+    """Numbers of the joints that move some of the bodies against others of them."""
+    above = []
+    for body in bodies:
+        own = {body}
+        while body := int(model.body_parentid[body]):
+            own.add(body)
+        above.append(own)
+    apart = set[int]().union(*above) - set.intersection(*above) if above else set[int]()
+    return {j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in apart}
 
 
 def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose) -> TreeJoint:

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.robots.couplings import GearCoupling
@@ -370,6 +370,13 @@ class TreeJoint:
     by_speed: bool = False
 
 
+class Tie(NamedTuple):
+    """What ties a joint to others or to a place, in words, and where the description draws it [rad or m]."""
+
+    by: str
+    at: float
+
+
 @dataclass(frozen=True)
 class RigidBodyTree:
     """An open chain or tree of rigid bodies on a fixed base.
@@ -382,6 +389,7 @@ class RigidBodyTree:
         source: the description that it was read from; empty where there is none.
         held: joints of that description that do not move, and where they stand [rad or m].
         couplings: gears that couple the motors of some of the joints.
+        tied: joints that cannot move alone, as those of a gripper, by name; held ones are no longer among them.
 
     Raises:
         InputError: a joint that stands before its parent, or two of one name; one that is not there, slides or stands
@@ -395,6 +403,7 @@ class RigidBodyTree:
     source: str = field(default="", compare=False, repr=False)
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
     couplings: tuple[GearCoupling, ...] = ()
+    tied: Mapping[str, Tie] = field(default_factory=dict, compare=False)
     _fixed: dict[str, SpatialInertia] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -517,7 +526,8 @@ class RigidBodyTree:
             rotation, position = chained([(turned, origin), (point.rotation, point.position)])
             if number >= 0:
                 points[name] = Point(number, position, rotation)
-        tree = replace(self, joints=tuple(joints), bodies=tuple(bodies), points=points)
+        tied = {name: tie for name, tie in self.tied.items() if name not in at}
+        tree = replace(self, joints=tuple(joints), bodies=tuple(bodies), points=points, tied=tied)
         return replace(tree, held={**self.held, **at})
 
     def carries(self, joint: int, other: int) -> bool:

@@ -122,7 +122,11 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
     Args:
         tree: of the robot, see :func:`hybrid_id.robots.description.load_tree`.
         gear_ratio: motor turns per joint turn, one a joint; 1 where it is not given.
+
+    Raises:
+        InputError: joints that tendons or equality constraints tie are not held.
     """
+    _refuse_tied(tree)
     ratios = [1.0] * len(tree.joints) if gear_ratio is None else [float(r) for r in gear_ratio]
     parts: list[tuple[str, Component]] = []
     for number, (joint, ratio) in enumerate(zip(started(tree), ratios, strict=True), 1):
@@ -132,6 +136,20 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
             where = Path(tree.source).name or "the robot's description"
             raise InputError(f"{where}, joint '{joint.name}': {error}") from None
     return System(ratios, parts, joint_names(tree, parts), name="robot", tree=tree)
+
+
+def _refuse_tied(tree: RigidBodyTree) -> None:
+    """Refuse a tree whose joints do not all move by themselves."""
+    if not tree.tied:
+        return
+    by = " and ".join(dict.fromkeys(tie.by for tie in tree.tied.values()))
+    places = {**tree.held, **{name: tie.at for name, tie in tree.tied.items()}}
+    hold = ", ".join(f"{name}: {at:g}" for name, at in places.items())
+    raise InputError(
+        f"{tree.source}: {by} couples {', '.join(tree.tied)} or closes a loop over them, which is not simulated; of a "
+        f"gripper, hold them in model.yaml, 'robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}' with their "
+        "places; of a wrist's gear, take that out and write 'couplings' in model.yaml."
+    )
 
 
 def _drive(joint: TreeJoint, ratio: float) -> list[tuple[str, Component]]:

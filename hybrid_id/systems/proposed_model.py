@@ -275,18 +275,32 @@ def _robot(
     drives: Sequence[DriveFacts], sheet: MotorSheet, tree: RigidBodyTree, held: Sequence[str]
 ) -> ProposedModel:
     entry: dict[str, Any] = {"file": tree.source}
-    rest = {joint.name: float(np.clip(0.0, *joint.limits)) for joint in tree.joints if joint.name in held}
+    rest = {
+        joint.name: tree.tied[joint.name].at
+        if joint.name in tree.tied
+        else float(np.clip(0.0, *joint.limits))
+        for joint in tree.joints
+        if joint.name in held
+    }
     if held:
         entry["hold"] = rest
     model = ProposedModel({"robot": entry})
     order = ", ".join(drive.joint for drive in drives)
     model.why["robot"] = f"joints from the base outwards, as they are numbered: {order}"
+    tied = {name: tie.by for name, tie in tree.tied.items() if name in rest}
+    lone = [name for name in rest if name not in tied]
+    stand = {name: f"{name} at {value:.4g}" for name, value in rest.items()}
+    for names, why in (
+        (lone, "moved by no command in the logs"),
+        (list(tied), f"tied by {' and '.join(dict.fromkeys(tied.values()))}"),
+    ):
+        if names:
+            model.why["robot"] += f"; {why}, so held: {', '.join(stand[name] for name in names)}"
     if held:
-        stand = ", ".join(f"{name} at {value:.4g}" for name, value in rest.items())
-        model.why["robot"] += f"; moved by no command in the logs, so held: {stand}"
+        whom = ["no command moves in the logs"] * bool(lone) + ["are tied to others"] * bool(tied)
         model.ask(
-            f"Where do joints stand that no command moves in the logs? {stand} (rad or m) is assumed: 0, or the end of "
-            "the range that is next to it; correct 'hold' in model.yaml."
+            f"Where do joints stand that {' or '.join(whom)}? {', '.join(stand.values())} (rad or m) is assumed: where "
+            "the robot's file draws them, 0, or the end of the range that is next to it; correct 'hold' in model.yaml."
         )
     ratios = _ratios(sheet, len(drives))
     if ratios:

@@ -366,6 +366,31 @@ def test_a_stamp_that_repeats_is_told_by_its_sample(run, tmp_path: Path, motions
     assert done.code == 2 and "run2.csv: time 'time' goes from 100 to 100 at sample 52" in done.err
 
 
+def test_joints_of_a_gripper_are_held_though_they_move_in_the_logs(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    tie = '<equality><joint name="jaws" joint1="elbow_flex" joint2="shoulder_pan"/></equality>'
+    text = ARM.format(actuators=ACTUATORS)
+    names = ("time", "shoulder_pan.pos", "shoulder_pan.goal", "elbow_flex.pos", "elbow_flex.goal")
+    of = (lambda t, g, q: t, *((lambda t, g, q: q, lambda t, g, q: g) * 2))
+    folder = one_joint(tmp_path / "logs", dict(zip(names, of, strict=True)))
+    (tmp_path / "arm.xml").write_text(text.replace("</mujoco>", f"{tie}</mujoco>"))
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 2 and "shoulder_pan.pos" in done.err, done.err  # then there is no joint left
+    grips = '<equality><joint name="jaws" joint1="elbow_flex"/></equality>'
+    (tmp_path / "arm.xml").write_text(text.replace("</mujoco>", f"{grips}</mujoco>"))
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert {one["name"] for one in (*data["inputs"], *data["outputs"])} == {"q_a1", "goal1"}
+    assert model["robot"]["hold"] == {"elbow_flex": 0.0}
+    words = " ".join(done.out.split())
+    assert (
+        "elbow_flex.pos: of elbow_flex, which is held for equality 'jaws' (elbow_flex.pos is about" in words
+    )
+    assert "tied by equality 'jaws', so held: elbow_flex at 0" in words
+    assert "Where do joints stand that are tied to others? elbow_flex at 0 (rad or m)" in words
+
+
 def test_a_joint_that_cannot_stand_at_zero_is_held_at_the_end_of_its_range(run, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     names = ("time", "shoulder_pan.pos", "shoulder_pan.goal")

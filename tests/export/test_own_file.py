@@ -114,13 +114,37 @@ def test_a_joint_that_is_held_is_held_there(tmp_path: Path) -> None:
     text = ARM.replace(' springref="20"', ' springref="20" ref="10"')
     system = arm(tmp_path, "robot: {file: arm.xml, hold: {elbow: 1.2}}\n", text)
     exported = to_mjcf(system)
-    assert "elbow: held still by an equality, as in the model" in exported.notes
+    assert "elbow: held still in the model; here as the file has it" in exported.notes
+    assert "equality" not in exported.text and exported.held == ("elbow",)
     assert apart(system, waves(system, [0.4], ["goal1"])) < 5e-3
     model = mujoco_model(exported)
     data = mujoco.MjData(model)
     data.joint("elbow").qpos[:] = 1.2
     mujoco.mj_step(model, data, 4000)
     assert float(data.joint("elbow").qpos[0]) == pytest.approx(1.2, abs=2e-3)
+
+
+def test_a_gripper_is_held_in_the_model_and_grips_in_the_file(tmp_path: Path) -> None:
+    finger = '<body name="{0}" pos="0 0 -0.2"><joint name="{0}" type="slide" axis="{1} 0 0" range="0 0.04"/>'
+    finger += '<inertial mass="0.02" pos="0 0 -0.02" diaginertia="1e-5 1e-5 1e-5"/></body>'
+    fingers = finger.format("left", 1) + finger.format("right", -1)
+    wraps = "".join(f'<joint joint="{name}" coef="0.5"/>' for name in ("left", "right"))
+    tendon = f'<tendon><fixed name="split">{wraps}</fixed></tendon>'
+    tied = f'{tendon}<equality><joint joint1="left" joint2="right"/></equality>'
+    text = ARM.replace('0.0001"/>', f'0.0001"/>{fingers}', 1).replace("  <actuator>", f"  {tied}<actuator>")
+    pull = '<general name="grip" tendon="split" biastype="affine" gainprm="0.5" biasprm="0 -100 -10"/>'
+    text = text.replace("  </actuator>", f"  {pull}</actuator>")
+    with pytest.raises(InputError, match=r"tendon 'split' couples left, right .*hold: {left: 0, right: 0}"):
+        arm(tmp_path, text=text)
+    model = "robot: {file: arm.xml, hold: {left: 0.01, right: 0.01}}\n"
+    exported = to_mjcf(system := arm(tmp_path, model, text))
+    assert tied in exported.text and pull in exported.text and exported.held == ("left", "right")
+    assert apart(system, waves(system, [0.4, 0.2], ["goal1", "tau2"])) < 2e-3
+    free = mujoco.MjModel.from_xml_string(exported.text)
+    data = mujoco.MjData(free)
+    data.actuator("grip").ctrl = 4.0
+    mujoco.mj_step(free, data, 4000)
+    assert float(data.joint("left").qpos[0]) == pytest.approx(0.02, abs=2e-3)
 
 
 def test_no_default_of_the_file_reaches_into_the_drives(tmp_path: Path) -> None:

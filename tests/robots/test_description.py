@@ -6,6 +6,7 @@ import pytest
 
 from hybrid_id.errors import InputError
 from hybrid_id.robots.description import load_tree
+from hybrid_id.systems.builders import robot
 from hybrid_id.systems.model_file import load_model
 
 mujoco = pytest.importorskip("mujoco")
@@ -37,18 +38,6 @@ def arm(joint=HINGE, inside=""):
             "",
             "joint 'b' of body 'link' is a ball joint.*put hinges in its place",
         ),
-        (
-            arm(),
-            '<tendon><fixed name="cable"><joint joint="turn" coef="1"/></fixed></tendon>',
-            "tendon 'cable'",
-        ),
-        (
-            arm(inside=BODY.format(name="tip", joint='<joint name="bend"/>', inside="")),
-            '<tendon><fixed name="gear"><joint joint="turn" coef="0.5"/><joint joint="bend" coef="1"/></fixed>'
-            "</tendon>",
-            r"tendon 'gear' couples the joints turn, bend .*'couplings' in model.yaml .*row of the matrix \[0.5, 1\]",
-        ),
-        (arm(), '<equality><joint name="mimic" joint1="turn"/></equality>', "equality constraint 'mimic'"),
         (arm().replace('name="link"', 'name="link" gravcomp="1"'), "", "'link' has gravcomp"),
         (arm(), '<option viscosity="1"/>', "fluid"),
         (BODY.format(name="stone", joint="", inside=""), "", "no joint that moves"),
@@ -88,13 +77,61 @@ def test_a_joint_that_mimics_another_is_named_and_can_be_held(tmp_path):
     path.write_text(
         f'<robot name="r"><link name="base"/>{parts}{joint.format("finger", "two", mimic)}</robot>'
     )
-    with pytest.raises(
-        InputError, match=r"joint 'finger' follows joint 'thumb' .*<mimic>.*hold: {finger: 0.0}"
-    ):
-        load_tree(path)
-    path.write_text(path.read_text().replace(mimic, ""))
-    (tmp_path / "model.yaml").write_text("robot: {file: hand.urdf, hold: {finger: 0.0}}\n")
-    assert [joint.number for joint in load_model(tmp_path / "model.yaml").joints] == [1]
+    tree = load_tree(path)
+    assert set(tree.tied) == {"thumb", "finger"}
+    with pytest.raises(InputError, match=r"equality 1 couples thumb, finger .*hold: {thumb: 0, finger: 0}"):
+        robot(tree)
+    (tmp_path / "model.yaml").write_text("robot: {file: hand.urdf, hold: {finger: 0.0, thumb: 0.2}}\n")
+    with pytest.raises(InputError, match="Every joint of the robot is held"):
+        load_model(tmp_path / "model.yaml")
+
+
+TIP = BODY.format(name="tip", joint='<joint name="bend"/>', inside=BODY.format(
+    name="jaw", joint='<joint name="grip" type="slide" range="0 1"/>', inside='<site name="end"/>'))  # fmt: skip
+FIXED = '<tendon><fixed name="t" {}><joint joint="bend" coef="0.5"/><joint joint="grip" coef="1"/></fixed></tendon>'
+SPATIAL = '<tendon><spatial name="t" stiffness="1"><site site="end"/><site site="base"/></spatial></tendon>'
+
+
+@pytest.mark.parametrize(
+    ("rest", "tied", "words"),
+    [
+        (FIXED.format(""), "", ""),  # which pulls nothing
+        (FIXED.format('stiffness="1"'), "bend grip", "tendon 't'"),
+        (FIXED.format("") + '<actuator><motor tendon="t"/></actuator>', "bend grip", "tendon 't'"),
+        (SPATIAL, "turn bend grip", "tendon 't'"),
+        ('<equality><joint name="e" joint1="grip" polycoef="0.3"/></equality>', "grip", "equality 'e'"),
+        ('<equality><joint joint1="grip" joint2="bend"/></equality>', "bend grip", "equality 1"),
+        ('<equality><joint joint1="grip" active="false"/></equality>', "", ""),
+        ('<option><flag equality="disable"/></option><equality><joint joint1="grip"/></equality>', "", ""),
+        ('<equality><connect body1="jaw" body2="link" anchor="0 0 0"/></equality>', "bend grip", "equality 1"),
+        ('<equality><weld body1="tip"/></equality>', "turn bend", "equality 1"),
+        ('<equality><weld site1="end" site2="base"/></equality>', "turn bend grip", "equality 1"),
+        (FIXED.format("") + '<equality><tendon name="e" tendon1="t"/></equality>', "bend grip", "equality 'e'"),
+    ],
+)  # fmt: skip
+def test_joints_that_something_ties_may_be_held_alone(tmp_path, rest, tied, words):
+    path = described(tmp_path, '<site name="base"/>' + arm(inside=TIP), rest)
+    tree, names = load_tree(path), tied.split()
+    assert set(tree.tied) == set(names)
+    if not names:
+        assert len(robot(tree).joints) == 3
+        return
+    with pytest.raises(InputError, match=words) as error:
+        robot(tree)
+    hold = ", ".join(f"{name}: {tie.at:g}" for name, tie in tree.tied.items())
+    assert f"hold: {{{hold}}}" in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).startswith(str(path))
+    if len(names) < 3:
+        still = tree.holding({name: 0.0 for name in names})
+        assert not still.tied and len(robot(still).joints) == 3 - len(names)
+
+
+def test_a_joint_held_for_a_tie_stands_where_the_description_draws_it(tmp_path):
+    slide = '<joint name="grip" type="slide" ref="0.4" axis="1 0 0"/>'
+    world = arm(inside=BODY.format(name="jaw", joint=slide, inside=""))
+    tree = load_tree(described(tmp_path, world, '<equality><joint joint1="grip" polycoef="0.1"/></equality>'))
+    assert tree.tied["grip"].at == 0.5  # what the equality says is beside where it is drawn
+    assert tree.holding({"grip": 0.4}).points["jaw"].position == (0.0, 0.0, 0.0)
 
 
 def test_entities_are_refused_unread(tmp_path):
