@@ -241,7 +241,9 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
             joints = _between(model, [int(model.site_bodyid[end]) if sites else end for end in ends])
         else:
             raise InputError(f"{path}: an equality constraint of a flex is not simulated; take it out.")
-        tie(obj.mjOBJ_EQUALITY, int(i), "equality", joints, apart)
+        # MuJoCo makes a URDF's <mimic> one
+        word = "mimic" if path.suffix.lower() == ".urdf" else "equality"
+        tie(obj.mjOBJ_EQUALITY, int(i), word, joints, apart)
     return found
 
 

@@ -79,7 +79,7 @@ def test_a_joint_that_mimics_another_is_named_and_can_be_held(tmp_path):
     )
     tree = load_tree(path)
     assert set(tree.tied) == {"thumb", "finger"}
-    with pytest.raises(InputError, match=r"equality 1 couples thumb, finger .*hold: {thumb: 0, finger: 0}"):
+    with pytest.raises(InputError, match=r"mimic 1 couples thumb, finger .*hold: {thumb: 0, finger: 0}"):
         robot(tree)
     (tmp_path / "model.yaml").write_text("robot: {file: hand.urdf, hold: {finger: 0.0, thumb: 0.2}}\n")
     with pytest.raises(InputError, match="Every joint of the robot is held"):
