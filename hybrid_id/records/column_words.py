@@ -181,6 +181,7 @@ FILLERS = frozenset(
         "per",
         "ncm",
         "nmm",
+        "j",
     ]
 )
 VOCABULARY = frozenset().union(*KINDS.values(), COMMAND, MEASURED, LINK, MOTOR, FILLERS)
@@ -287,12 +288,14 @@ def read_name(name: str, joints: Sequence[str] = ()) -> ColumnWords:
         kind = "time"
     if kind == "angle" and unit in ("rad/s", "deg/s", "rpm", "rev/s"):
         kind = "speed"
-    left = [word for word in words if word not in VOCABULARY]
+    # as libfranka writes what is desired: q_d, tau_J_d
+    desired = bool(kind) and "d" in found
+    left = [word for word in words if word not in VOCABULARY and not (desired and word == "d")]
     return ColumnWords(
         name=name,
         kind=kind,
-        command=bool(found & COMMAND),
-        measured=bool(found & MEASURED),
+        command=desired or bool(found & COMMAND),
+        measured=bool(found & MEASURED) and not desired,
         unit=unit,
         side="link" if found & LINK or "a" in found else "motor" if found & MOTOR else "",
         joint=joint or "_".join(left),

@@ -104,7 +104,9 @@ def find_pair(
     columns = [one for one in columns if not _still(one, evidence)]
     kinds = kinds_of(columns, evidence)
     angle, speed = evidence.first(kinds, "angle"), evidence.first(kinds, "speed")
-    found = ((kind, _drives(kinds, kind, evidence)) for kind in INPUTS)
+    # a robot whose file has a position loop there is told where to go, whatever else its controller logs
+    order = ("goal", *INPUTS) if joint is not None and joint.servo else INPUTS
+    found = ((kind, _drives(kinds, kind, evidence)) for kind in order)
     reported = ("torque", "current") if rests else ()  # by a servo, which take no part in driving it
     command = next((kind for kind, one in found if one and (one.command or kind not in reported)), None)
     if command is None and rests:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -62,6 +63,7 @@ def propose(
         pairs = [_first_alone(pairs, evidence)]
     for number, pair in enumerate(pairs, 1):
         choose_channels(pair, number, evidence)
+    _alike(evidence)
     if still := [log for log in logs if not any(np.ptp(log.columns[c.column]) for c in proposal.outputs)]:
         proposal = propose([log for log in logs if log not in still], joints, sheet)
         proposal.left += [(log.file.title, "no angle and no speed moves in it") for log in still]
@@ -87,6 +89,39 @@ def propose(
             f"t: {{column: {time.column}, unit: ...}}",
         )
     return proposal
+
+
+def _alike(evidence: Evidence) -> None:
+    """Units that are sure at one joint are so at others whose columns are named alike and would have the same one."""
+    proposal = evidence.proposal
+    known: dict[
+        tuple[object, ...], dict[str, str]
+    ] = {}  # of names that are alike: each sure unit, and its column
+    for chosen in (*proposal.outputs, *proposal.inputs):
+        for guess in chosen.guesses:
+            if guess.about == f"unit of {chosen.name}" and guess.sure:
+                known.setdefault(_apart_from_joint(evidence, chosen), {}).setdefault(
+                    guess.value, chosen.column
+                )
+    for chosen in (*proposal.outputs, *proposal.inputs):
+        units = known.get(_apart_from_joint(evidence, chosen), {})
+        for k, guess in enumerate(chosen.guesses):
+            unsure = guess.about == f"unit of {chosen.name}" and not guess.sure
+            if unsure and list(units) == [guess.value]:
+                words = f"that of '{units[guess.value]}', which is named alike, and {guess.evidence}"
+                chosen.guesses[k] = replace(guess, evidence=words, sure=True)
+                asked = (
+                    f"In which unit is '{chosen.column}'",
+                    f"In which unit is the goal '{chosen.column}'",
+                )
+                proposal.questions[:] = [one for one in proposal.questions if not one.words.startswith(asked)]
+
+
+def _apart_from_joint(evidence: Evidence, chosen: Chosen) -> tuple[object, ...]:
+    """What a column's name says, its joint left out."""
+    said = evidence.words[chosen.column]
+    words, joint = tokens(chosen.column), tokens(said.joint)
+    return said.kind, chosen.name.rstrip("0123456789"), tuple(word for word in words if word not in joint)
 
 
 def _parts(evidence: Evidence) -> None:
@@ -293,7 +328,9 @@ def _place(
         return [(key, None) for key in keys]
     by_name = {joint.name: joint for joint in joints}
     numbers = [int(found[0]) for key in keys if (found := re.findall(r"\d+$", key))]
-    first, found = min(numbers, default=1), []
+    first, found, unsure = min(numbers, default=1), [], []
+    called = {joint: tokens(joint.name)[-1:] for joint in joints if not joint.tied}
+    from_zero = first == 0 and ["0"] not in called.values()  # where the robot's own numbers begin at 1
     for key in keys:
         if key in by_name:
             found.append((key, by_name[key]))
@@ -302,7 +339,8 @@ def _place(
             continue
         digits = re.findall(r"\d+$", key)
         place = int(digits[0]) - min(first, 1) if digits else 0 if len(keys) == 1 else -1
-        same = [joint for joint in joints if digits and tokens(joint.name)[-1:] == digits]
+        own = [str(int(number) + from_zero) for number in digits]
+        same = [joint for joint, last in called.items() if digits and last == own]
         joint = same[0] if len(same) == 1 else joints[place] if 0 <= place < len(joints) else None
         if joint is None or joint in [one for _, one in found]:
             proposal.left += [(one.name, "no joint of the robot is called so") for one in groups[key]]
@@ -315,7 +353,11 @@ def _place(
         )
         proposal.guesses.append(Guess("joint", joint.name, words, sure))
         if not sure:
-            proposal.questions.append(Question(f"Are the columns of '{key}' those of joint {joint.name}?"))
+            unsure.append((key, joint.name))
+    if unsure:
+        several, names = (", ".join(some) for some in zip(*((f"'{k}'", n) for k, n in unsure), strict=True))
+        order = "" if len(unsure) == 1 else ", in this order"
+        proposal.questions.append(Question(f"Are the columns of {several} those of joint {names}{order}?"))
     return sorted(found, key=lambda one: joints.index(one[1]))
 
 

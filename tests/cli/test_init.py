@@ -265,6 +265,43 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert checked.code == 0, checked.err
 
 
+@pytest.mark.parametrize(
+    ("angle", "goal", "others"),
+    [
+        ("actual_q_{}", "target_q_{}", ("target_current_{}", "actual_current_{}")),  # a UR's RTDE
+        ("state.q[{}]", "state.q_d[{}]", ("state.tau_J[{}]", "state.tau_J_d[{}]")),  # libfranka
+    ],
+)
+def test_numbers_from_zero_goals_before_currents_and_units_of_columns_named_alike(
+    run, tmp_path: Path, angle: str, goal: str, others: tuple[str, str]
+) -> None:
+    pytest.importorskip("mujoco")
+    robot = tmp_path / "arm.xml"
+    text = ARM.format(actuators=ACTUATORS).replace("-1.9 1.9", "-60 60")  # degrees would be as likely
+    robot.write_text(text.replace("shoulder_pan", "joint1").replace("elbow_flex", "joint2"))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    names = [name.format(k) for name in (angle, goal, *others) for k in range(2)]
+    for seed in range(3):
+        t, wanted, found = swing(seed)
+        table = np.column_stack([t, found, wanted, wanted - found, wanted - found])
+        header = ",".join(["time", *names])
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", robot)
+    assert done.code == 0, done.err
+    data, _ = written(folder)
+    chosen = {one: data["columns"][one] for one in ("q_a1", "q_a2", "goal1", "goal2")}
+    columns = [one["column"] if isinstance(one, dict) else one for one in chosen.values()]
+    assert columns == [angle.format(0), angle.format(1), goal.format(0), goal.format(1)]
+    words = " ".join(done.out.split())
+    assert f"that of '{angle.format(1)}', which is named alike, and" in words
+    assert "In which unit" not in words and "those of joint" not in words
+    robot.write_text(text)
+    done = run("init", folder, "--robot", robot, "--force")
+    asked = "Are the columns of '0', '1' those of joint shoulder_pan, elbow_flex, in this order?"
+    assert asked in " ".join(done.out.split())
+
+
 def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
     """A loop too stiff for the lag of one joint is none for its neighbour, which gravity holds off its goal."""
     pytest.importorskip("mujoco")
