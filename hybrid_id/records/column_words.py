@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 KINDS: dict[str, frozenset[str]] = {
+    "error": frozenset(["error", "errors", "err"]),
     "supply": frozenset(["supply", "vbat", "vbus", "vcc", "vin", "battery"]),
     "temperature": frozenset(["temp", "temperature"]),
     "duty": frozenset(["duty", "pwm", "dutycycle"]),

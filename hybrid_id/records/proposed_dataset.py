@@ -13,7 +13,16 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.column_words import ColumnWords, read_name, tokens
 from hybrid_id.records.joint_channels import Pair, choose_channels, find_pair
 from hybrid_id.records.logs import Log
-from hybrid_id.records.proposal import TIME_FACTORS, Guess, JointFacts, is_time, sampling, time_unit
+from hybrid_id.records.proposal import (
+    RELATED,
+    TIME_FACTORS,
+    Guess,
+    JointFacts,
+    follows,
+    is_time,
+    sampling,
+    time_unit,
+)
 from hybrid_id.records.proposal_parts import Chosen, Evidence, MotorSheet, Proposal, Question
 from hybrid_id.records.resample import MAX_GAP
 
@@ -299,17 +308,70 @@ def _groups(
     if len(named) == 1:
         others = [one for key, some in groups.items() if key not in named and key not in rest for one in some]
         return {named[0]: [*groups[named[0]], *common, *others]} | rest
-    loose = [key for key in groups if key.isdigit() and key not in named]
-    if loose and not any(name.isdigit() for name in named) and len(loose) == len(named):
-        for key, name in zip(sorted(loose, key=int), named, strict=True):
-            groups[name] += groups.pop(key)
-        evidence.ask(
-            f"The elements {', '.join(loose)} of the command have no names; they are taken in the order of the joints: "
-            f"{', '.join(named)}. Is that their order?"
-        )
+    _take_elements(groups, named, evidence, joints)
     for key in named:
         groups[key] += common
-    return {key: some for key, some in groups.items() if key in named or key in rest}
+    named = [*named, *rest]
+    stems = {_element(key)[0] for key in named}  # what all have in common says nothing of a joint
+    short = bool(joints) and len(stems) == 1 and not any(key in joints for key in named)
+    return {_element(key)[1] if short else key: groups[key] for key in named}
+
+
+def _element(key: str) -> tuple[str, str]:
+    """A key without and with its number alone, ``data_3`` -> ``data``, ``3``; no key and all of it without one."""
+    found = re.fullmatch(r"(.*?)_?(\d+)", key)
+    return (found[1], found[2]) if found else (key, key)
+
+
+def _take_elements(
+    groups: dict[str, list[ColumnWords]], named: list[str], evidence: Evidence, joints: Sequence[str]
+) -> None:
+    """Give the numbered elements of a command, which are as many as the joints, to these.
+
+    They are those whose angles follow them, where that is clear, else in the order of the robot or the log, and asked.
+    """
+    loose: dict[str, list[str]] = {}
+    for key in groups:
+        if key not in named and _element(key)[1].isdigit():
+            loose.setdefault(_element(key)[0], []).append(key)
+    some = [keys for keys in loose.values() if len(keys) == len(named)]
+    if len(some) != 1 or (set(named) - set(joints) and any(_element(key)[1].isdigit() for key in named)):
+        return
+    elements = sorted(some[0], key=lambda key: int(_element(key)[1]))
+    order = sorted(named, key=lambda name: joints.index(name) if name in joints else len(joints))
+    found = _followed([groups[key] for key in elements], [groups[name] for name in order], evidence)
+    shown = ", ".join(_element(key)[1] for key in elements)
+    taken = ", ".join(order[k] for k in found or range(len(order)))
+    if found is None:
+        evidence.ask(
+            f"The elements {shown} of the command have no names; they are taken in the order of the joints: {taken}. "
+            "Is that their order?"
+        )
+    else:
+        words = "each is the one that the angle of its joint follows best"
+        evidence.proposal.guesses.append(Guess(f"elements {shown}", taken, words))
+    for key, k in zip(elements, found or range(len(order)), strict=True):
+        groups[order[k]] += groups.pop(key)
+
+
+def _followed(
+    elements: Sequence[Sequence[ColumnWords]], joints: Sequence[Sequence[ColumnWords]], evidence: Evidence
+) -> list[int] | None:
+    """The joint whose angle follows each element of a command, by its place; None where that is not clear."""
+    angles = [
+        next((one.name for one in some if one.kind == "angle" and not one.command), "") for some in joints
+    ]
+    if not all(angles):
+        return None
+    found = []
+    for some in elements:
+        (log,) = evidence.liveliest(some[0].name)
+        time, goal = evidence.time(log), log.columns[some[0].name]
+        related = [follows(time, goal, log.columns[name]) if np.ptp(goal) > 0.0 else 0.0 for name in angles]
+        found.append(int(np.argmax(related)))
+        if related[found[-1]] < RELATED:
+            return None
+    return found if len(set(found)) == len(found) else None
 
 
 def _is_output(one: ColumnWords) -> bool:

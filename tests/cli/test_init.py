@@ -302,6 +302,38 @@ def test_numbers_from_zero_goals_before_currents_and_units_of_columns_named_alik
     assert asked in " ".join(done.out.split())
 
 
+def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: Path) -> None:
+    """A topic of joint states is sorted by name, a command by the robot; a controller's errors drive nothing."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
+    for clear in (True, False):
+        folder = tmp_path / f"logs_{clear}"
+        folder.mkdir()
+        names = ["/joint_states/elbow_flex/position", "/joint_states/shoulder_pan/position"]
+        names += [f"/forward_controller/commands/data[{k}]" for k in (0, 1)]
+        names += [f"/forward_controller/error/positions[{k}]" for k in (0, 1)]
+        for seed in range(3):
+            t, goal, angle = swing(seed)
+            told = goal if clear else np.sign(np.random.default_rng(seed).normal(size=goal.shape))
+            table = np.column_stack([t, angle[:, ::-1], told, goal - angle])
+            header = ",".join(["__time", *names])
+            np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+        done = run("init", folder, "--robot", tmp_path / "arm.xml")
+        assert done.code == 0, done.err
+        entries = written(folder)[0]["columns"].items()
+        columns = {name: one if isinstance(one, str) else one["column"] for name, one in entries}
+        assert set(columns.values()) == {"__time", *names[:4]}
+        for k, name in enumerate(("shoulder_pan", "elbow_flex")):
+            own = {column for channel, column in columns.items() if channel.endswith(str(k + 1))}
+            assert own == {names[2 + k], f"/joint_states/{name}/position"}
+        words = " ".join(done.out.split())
+        assert (
+            "shoulder_pan, elbow_flex yes each is the one that the angle of its joint follows" in words
+        ) == clear
+        asked = "elements 0, 1 of the command have no names; they are taken in the order of the joints: shoulder_pan"
+        assert (asked in words) != clear
+
+
 def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
     """A loop too stiff for the lag of one joint is none for its neighbour, which gravity holds off its goal."""
     pytest.importorskip("mujoco")
