@@ -146,10 +146,11 @@ def choose_channels(pair: Pair, number: int, evidence: Evidence) -> None:
         if one.name not in taken:
             named = ((kind, some) for kind, some in pair.kinds.items() if one in some)
             kind, some = next(named, ("a column", ()))
-            second = any(other.name in taken for other in some)
-            reason = (
-                f"a second {kind}" if second else f"nothing that a drive with a {pair.command} takes as it is"
-            )
+            reason = f"nothing that a drive with a {pair.command} takes as it is"
+            if any(other.name in taken for other in some):
+                reason = f"a second {kind}"
+            elif kind == "torque" and not one.command:
+                reason = f"if a sensor at the link measures it, add it as the output tau_a{number}"
             evidence.leave(one.name, f"{kind} of {drive.joint}: {reason}")
     evidence.proposal.inputs += work.inputs
     evidence.proposal.outputs += work.outputs
