@@ -104,8 +104,14 @@ def mujoco_model(exported: Mjcf) -> Any:
         without_missing_meshes(exported.home / "exported", mujoco, spec)
     model = spec.compile()
     for name in exported.held:  # whatever pulls at it; the document's own joint may move
-        model.dof_armature[model.joint(name).dofadr] = HOLDS
+        model.dof_armature[np.flatnonzero(model.dof_jntid == held_joint(model, name))] = HOLDS
     return model
+
+
+def held_joint(model: Any, name: str) -> int:
+    """Number of a joint that a system holds, in MuJoCo's model: by its name, or of a base without one by its body's."""
+    joints = [k for k in range(model.njnt) if model.joint(k).name == name]
+    return joints[0] if joints else int(model.body(name).jntadr[0])
 
 
 def _included(text: str, home: Path) -> dict[str, bytes]:

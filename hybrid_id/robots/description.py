@@ -30,14 +30,14 @@ def load_tree(path: str | Path) -> RigidBodyTree:
 
     Contacts and sensors are left out, and of the actuators all but MuJoCo's ``position`` at a joint. Of meshes that
     are not there a body does not need any, where its inertia is written down. Joints that tendons and equality
-    constraints tie, as those of a gripper, are ``tied`` until they are held.
+    constraints tie, as those of a gripper, are ``tied`` until they are held, and so is a floating base.
 
     Args:
         path: MJCF or URDF file.
 
     Raises:
-        InputError: the file cannot be read, or it holds what is not supported: a floating base, ball joints, gravity
-            compensation, or a fluid. The sentence names the element.
+        InputError: the file cannot be read, or it holds what is not supported: ball joints, gravity compensation,
+            or a fluid. The sentence names the element.
     """
     path = Path(path)
     spec = read_spec(path)
@@ -124,16 +124,13 @@ def _first_line(error: Exception) -> str:
 
 
 def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
-    """Refuse what a fixed tree of hinges and slides cannot be."""
-    free, ball = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
+    """Refuse what a tree of hinges and slides cannot be."""
     for joint in spec.joints:
-        if joint.type in (free, ball):
-            kind, cure = "free joint (a floating base)", "hang the robot up and take the joint out"
-            if joint.type == ball:
-                kind, cure = "ball joint", "put hinges in its place, or take it out where it does not move"
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
             own = f"joint '{joint.name}'" if joint.name else "a joint without a name"
             raise InputError(
-                f"{path}: {own} of body '{joint.parent.name}' is a {kind}, which is not supported; {cure}."
+                f"{path}: {own} of body '{joint.parent.name}' is a ball joint, which is not supported; put hinges in "
+                "its place, or take it out where it does not move."
             )
     for body in spec.bodies:
         if body.mass < 0.0:
@@ -175,6 +172,8 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
         pose = _after(pose, (_rotation(mujoco, model.body_quat[b]), model.body_pos[b]))
         first = int(model.body_jntadr[b])
         for j in range(first, first + int(model.body_jntnum[b])):
+            if _floats(mujoco, model, j):
+                continue  # a base stays where it is drawn, and so does an object beside the robot
             turned = np.array(frame(model.jnt_axis[j].tolist()), dtype=float)
             there = (turned, np.array(model.jnt_pos[j]))  # in the body's axes
             start = _after(pose, there)
@@ -201,7 +200,7 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
         constant_vector(_gravity(mujoco, model)),
         points,
         source=str(path.resolve()),
-        tied=_ties(path, mujoco, model),
+        tied=_bases(path, mujoco, model) | _ties(path, mujoco, model),
     )
     if max(own + joint.armature for own, joint in zip(tree.at_zero, joints, strict=True)) <= MASSLESS:
         raise InputError(
@@ -218,7 +217,7 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
     def tie(kind: Any, number: int, word: str, joints: Iterable[int], apart: float = 0.0) -> None:
         title = mujoco.mj_id2name(model, kind, number)
         by = f"{word} '{title}'" if title else f"{word} {number + 1}"
-        for j in sorted(joints):
+        for j in sorted(j for j in joints if not _floats(mujoco, model, j)):
             at = float(model.qpos0[int(model.jnt_qposadr[j])]) + apart
             found.setdefault(mujoco.mj_id2name(model, obj.mjOBJ_JOINT, j), Tie(by, at))
 
@@ -245,6 +244,24 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
         word = "mimic" if path.suffix.lower() == ".urdf" else "equality"
         tie(obj.mjOBJ_EQUALITY, int(i), word, joints, apart)
     return found
+
+
+def _bases(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
+    """Floating bases that carry joints, by the name of their joint or else of their body."""
+    found: dict[str, Tie] = {}
+    for j in (j for j in range(model.njnt) if _floats(mujoco, model, j)):
+        body = int(model.jnt_bodyid[j])
+        if np.count_nonzero(model.body_rootid[model.jnt_bodyid] == body) > 1:
+            ways = ((mujoco.mjtObj.mjOBJ_JOINT, j), (mujoco.mjtObj.mjOBJ_BODY, body))
+            names = [name for kind, number in ways if (name := mujoco.mj_id2name(model, kind, number))]
+            if not names:
+                raise InputError(f"{path}: the floating base has no name; give its body or its joint one.")
+            found[names[0]] = Tie("a floating base", 0.0)
+    return found
+
+
+def _floats(mujoco: Any, model: Any, j: int) -> bool:
+    return bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE)
 
 
 def _wrapped(mujoco: Any, model: Any, tendon: int) -> set[int]:
@@ -277,7 +294,7 @@ def _between(model: Any, bodies: Sequence[int]) -> set[int]:
 def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose) -> TreeJoint:
     """A joint whose frame at MuJoCo's zero is known: at ``qpos0`` it stands as the file draws it."""
     slide = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
-    zero, at = float(model.qpos0[j]), int(model.jnt_dofadr[j])
+    zero, at = float(model.qpos0[int(model.jnt_qposadr[j])]), int(model.jnt_dofadr[j])
     sine, cosine = np.sin(-zero), np.cos(-zero)
     turn = np.eye(3) if slide else np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     rotation, position = _after(start, (turn, np.array([0.0, 0.0, -zero if slide else 0.0])))

@@ -480,16 +480,22 @@ class RigidBodyTree:
         """The tree with some joints held still: what they carry is part of what carries them. Couple joints after it.
 
         Args:
-            at: position of each held joint by its name [rad or m].
+            at: position of each held joint by its name [rad or m]; 0 of a floating base, which stays as it is drawn.
 
         Raises:
             InputError: a name that no joint has, a position that it cannot have, or no joint left that moves.
         """
-        if unknown := [name for name in at if name not in self.names]:
+        if unknown := [name for name in at if name not in (*self.names, *self.tied)]:
             raise InputError(
                 f"The robot has no joint '{unknown[0]}' to hold; it has {', '.join(self.names)}."
             )
         for name, place in at.items():
+            if name not in self.names:
+                if place != 0.0:
+                    raise InputError(
+                        f"The base '{name}' is held as the robot's file draws it; give it 0, and its pose there."
+                    )
+                continue
             joint = self.joints[self.names.index(name)]
             low, high = joint.limits
             slack = 0.1 * (high - low) if math.isfinite(high - low) else 0.0

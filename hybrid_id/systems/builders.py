@@ -146,9 +146,9 @@ def _refuse_tied(tree: RigidBodyTree) -> None:
     places = {**tree.held, **{name: tie.at for name, tie in tree.tied.items()}}
     hold = ", ".join(f"{name}: {at:g}" for name, at in places.items())
     raise InputError(
-        f"{tree.source}: {by} couples {', '.join(tree.tied)} or closes a loop over them, which is not simulated; of a "
-        f"gripper, hold them in model.yaml, 'robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}' with their "
-        "places; of a wrist's gear, take that out and write 'couplings' in model.yaml."
+        f"{tree.source}: {', '.join(tree.tied)} cannot move freely here ({by}); hold what stands still, as a gripper "
+        f"or a base on a rack, in model.yaml: 'robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}', with its "
+        "places; where a wrist's gear couples joints, take that out and write 'couplings' in model.yaml."
     )
 
 

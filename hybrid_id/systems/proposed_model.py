@@ -275,39 +275,40 @@ def _robot(
     drives: Sequence[DriveFacts], sheet: MotorSheet, tree: RigidBodyTree, held: Sequence[str]
 ) -> ProposedModel:
     entry: dict[str, Any] = {"file": tree.source}
-    rest = {
-        joint.name: tree.tied[joint.name].at
-        if joint.name in tree.tied
-        else float(np.clip(0.0, *joint.limits))
-        for joint in tree.joints
-        if joint.name in held
-    }
-    if held:
+    rest = {joint.name: float(np.clip(0.0, *joint.limits)) for joint in tree.joints if joint.name in held}
+    rest |= {name: tie.at for name, tie in tree.tied.items()}
+    if rest:
         entry["hold"] = rest
     model = ProposedModel({"robot": entry})
     order = ", ".join(drive.joint for drive in drives)
     model.why["robot"] = f"joints from the base outwards, as they are numbered: {order}"
-    tied = {name: tie.by for name, tie in tree.tied.items() if name in rest}
-    lone = [name for name in rest if name not in tied]
     stand = {name: f"{name} at {value:.4g}" for name, value in rest.items()}
+    lone = [name for name in rest if name not in tree.tied]
+    tied, bases = ([name for name in tree.tied if (name in tree.names) == known] for known in (True, False))
+    ties = " and ".join(dict.fromkeys(tree.tied[name].by for name in tied))
     for names, why in (
-        (lone, "moved by no command in the logs"),
-        (list(tied), f"tied by {' and '.join(dict.fromkeys(tied.values()))}"),
-    ):
+        (lone, "moved by no command in the logs"), (tied, f"tied by {ties}"), (bases, "a floating base")
+    ):  # fmt: skip
         if names:
             model.why["robot"] += f"; {why}, so held: {', '.join(stand[name] for name in names)}"
-    if held:
+    if lone or tied:
         whom = ["no command moves in the logs"] * bool(lone) + ["are tied to others"] * bool(tied)
+        where = ", ".join(stand[name] for name in (*lone, *tied))
         model.ask(
-            f"Where do joints stand that {' or '.join(whom)}? {', '.join(stand.values())} (rad or m) is assumed: where "
-            "the robot's file draws them, 0, or the end of the range that is next to it; correct 'hold' in model.yaml."
+            f"Where do joints stand that {' or '.join(whom)}? {where} (rad or m) is assumed: where the file draws "
+            "them, 0, or the end of the range that is next to it; correct 'hold' in model.yaml."
+        )
+    if bases:
+        model.ask(
+            f"Does the base {bases[0]} stand still in all logs, turned as the robot's file draws it? It is taken so; "
+            "leave out logs in which it moves."
         )
     ratios = _ratios(sheet, len(drives))
     if ratios:
         model.values["gear_ratio"], model.why["gear_ratio"] = ratios, "motor's sheet"
     else:
         model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
-    still = tree.holding(rest) if held else tree
+    still = tree.holding(rest) if rest else tree
     _ask_of_motors(model, drives, still.joints, geared=bool(ratios))
     servos: dict[str, dict[str, Any]] = {}
     placeholders: dict[str, list[str]] = {}

@@ -460,6 +460,23 @@ def test_joints_of_a_gripper_are_held_though_they_move_in_the_logs(run, tmp_path
     assert "Where do joints stand that are tied to others? elbow_flex at 0 (rad or m)" in words
 
 
+def test_a_robot_on_a_rack_is_held_by_its_base(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    names = ("time", "shoulder_pan.pos", "shoulder_pan.goal", "elbow_flex.pos", "elbow_flex.goal")
+    of = (lambda t, g, q: t, *((lambda t, g, q: q, lambda t, g, q: g) * 2))
+    folder = one_joint(tmp_path / "logs", dict(zip(names, of, strict=True)))
+    trunk = '<body name="trunk"><freejoint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="upper">'
+    text = ARM.format(actuators=ACTUATORS).replace('<body name="upper">', trunk)
+    (tmp_path / "arm.xml").write_text(text.replace("</worldbody>", "</body></worldbody>"))
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert written(folder)[1]["robot"]["hold"] == {"trunk": 0.0}
+    words = " ".join(done.out.split())
+    assert "a floating base, so held: trunk at 0" in words and "Where do joints stand" not in words
+    assert "Does the base trunk stand still in all logs" in words
+    assert run("check", folder).code == 0
+
+
 def test_a_joint_that_cannot_stand_at_zero_is_held_at_the_end_of_its_range(run, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     names = ("time", "shoulder_pan.pos", "shoulder_pan.goal")

@@ -134,7 +134,7 @@ def test_a_gripper_is_held_in_the_model_and_grips_in_the_file(tmp_path: Path) ->
     text = ARM.replace('0.0001"/>', f'0.0001"/>{fingers}', 1).replace("  <actuator>", f"  {tied}<actuator>")
     pull = '<general name="grip" tendon="split" biastype="affine" gainprm="0.5" biasprm="0 -100 -10"/>'
     text = text.replace("  </actuator>", f"  {pull}</actuator>")
-    with pytest.raises(InputError, match=r"tendon 'split' couples left, right .*hold: {left: 0, right: 0}"):
+    with pytest.raises(InputError, match=r"left, right cannot .*tendon 'split'.*hold: {left: 0, right: 0}"):
         arm(tmp_path, text=text)
     model = "robot: {file: arm.xml, hold: {left: 0.01, right: 0.01}}\n"
     exported = to_mjcf(system := arm(tmp_path, model, text))
@@ -145,6 +145,23 @@ def test_a_gripper_is_held_in_the_model_and_grips_in_the_file(tmp_path: Path) ->
     data.actuator("grip").ctrl = 4.0
     mujoco.mj_step(free, data, 4000)
     assert float(data.joint("left").qpos[0]) == pytest.approx(0.02, abs=2e-3)
+
+
+@pytest.mark.parametrize("own", ['<freejoint name="root"/>', "<freejoint/>"])
+def test_a_robot_on_a_rack_floats_again_in_its_file(tmp_path: Path, own: str) -> None:
+    base = f'<body name="trunk" pos="0 0 1">{own}<inertial mass="4" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>'
+    text = ARM.replace('<body name="upper">', f'{base}<body name="upper">').replace(
+        "</worldbody>", "</body></worldbody>"
+    )
+    name = "root" if "name" in own else "trunk"
+    system = arm(tmp_path, f"robot: {{file: arm.xml, hold: {{{name}: 0}}}}\n", text).with_values(
+        {"F_c_lift": 0.07}
+    )
+    exported = to_mjcf(system)
+    assert own in exported.text and exported.held == (name,)
+    assert apart(system, waves(system, [0.4, 0.2], ["goal1", "tau2"])) < 2e-3
+    free = mujoco.MjModel.from_xml_string(exported.text)
+    assert free.nq == 9 and free.dof_armature[:6].tolist() == [0.0] * 6
 
 
 def test_no_default_of_the_file_reaches_into_the_drives(tmp_path: Path) -> None:

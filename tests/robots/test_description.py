@@ -31,8 +31,6 @@ def arm(joint=HINGE, inside=""):
 @pytest.mark.parametrize(
     ("world", "rest", "words"),
     [
-        (arm('<freejoint name="float"/>'), "", "joint 'float' of body 'link' is a free joint"),
-        (arm("<freejoint/>"), "", "a joint without a name of body 'link' is a free joint"),
         (
             arm('<joint name="b" type="ball"/>'),
             "",
@@ -42,6 +40,7 @@ def arm(joint=HINGE, inside=""):
         (arm(), '<option viscosity="1"/>', "fluid"),
         (BODY.format(name="stone", joint="", inside=""), "", "no joint that moves"),
         (arm('<joint axis="0 1 0"/>'), "", "joint of body 'link' has no name"),
+        (f"<body><freejoint/>{arm()}</body>", "", "the floating base has no name"),
         ("<body", "", "robot.xml"),
     ],
 )
@@ -61,7 +60,7 @@ def test_a_urdf_joint_that_is_not_supported_is_named(tmp_path):
         f'<robot name="r"><link name="base">{inertial}</link><link name="hand">{inertial}</link>'
         '<joint name="wrist" type="floating"><parent link="base"/><child link="hand"/></joint></robot>'
     )
-    with pytest.raises(InputError, match="joint 'wrist' of body 'hand' is a free joint"):
+    with pytest.raises(InputError, match="free joint can only be used on top level"):
         load_tree(path)
 
 
@@ -79,7 +78,7 @@ def test_a_joint_that_mimics_another_is_named_and_can_be_held(tmp_path):
     )
     tree = load_tree(path)
     assert set(tree.tied) == {"thumb", "finger"}
-    with pytest.raises(InputError, match=r"mimic 1 couples thumb, finger .*hold: {thumb: 0, finger: 0}"):
+    with pytest.raises(InputError, match=r"thumb, finger cannot move .*mimic 1.*hold: {thumb: 0, finger: 0}"):
         robot(tree)
     (tmp_path / "model.yaml").write_text("robot: {file: hand.urdf, hold: {finger: 0.0, thumb: 0.2}}\n")
     with pytest.raises(InputError, match="Every joint of the robot is held"):
@@ -124,6 +123,33 @@ def test_joints_that_something_ties_may_be_held_alone(tmp_path, rest, tied, word
     if len(names) < 3:
         still = tree.holding({name: 0.0 for name in names})
         assert not still.tied and len(robot(still).joints) == 3 - len(names)
+
+
+def test_a_floating_base_has_to_be_held_and_what_lies_beside_the_robot_is_left_out(tmp_path):
+    cube = '<body name="cube" pos="1 0 0"><freejoint/><geom size="0.1"/></body>'
+    for own, name in (('<freejoint name="root"/>', "root"), ("<freejoint/>", "trunk")):
+        leg = BODY.format(name="trunk", joint=own, inside=arm(inside=TIP))
+        path = described(tmp_path, cube + leg.replace("<body ", '<body pos="0 0 2" ', 1))
+        tree = load_tree(path)
+        assert tree.names == ("turn", "bend", "grip") and {body.name for body in tree.bodies} == {
+            "link",
+            "tip",
+            "jaw",
+        }
+        with pytest.raises(
+            InputError, match=rf"{name} cannot move freely here \(a floating base\).*hold: {{{name}: 0}}"
+        ):
+            robot(tree)
+        with pytest.raises(
+            InputError, match=f"base '{name}' is held as the robot's file draws it; give it 0"
+        ):
+            tree.holding({name: 0.5})
+        still = tree.holding({name: 0.0})
+        fixed = load_tree(
+            described(tmp_path, leg.replace(own, "").replace("<body ", '<body pos="0 0 2" ', 1))
+        )
+        assert still == fixed and still.points == fixed.points and still.held == {name: 0.0}
+        assert len(robot(still).joints) == 3
 
 
 def test_a_joint_held_for_a_tie_stands_where_the_description_draws_it(tmp_path):
