@@ -137,8 +137,8 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
             raise InputError(f"{path}: mass of body '{body.name}' is {body.mass:g} kg; give 0 or more.")
         if body.gravcomp:
             raise InputError(
-                f"{path}: body '{body.name}' has gravcomp, which is not simulated; take it out, and where the robot's own "
-                'controller compensates the weight of all links, write <option gravity="0 0 0"/>.'
+                f"{path}: body '{body.name}' has gravcomp, which is not simulated; take it out, and where the robot's "
+                'own controller compensates the weight of all links, write <option gravity="0 0 0"/>.'
             )
 
 
