@@ -180,7 +180,8 @@ def _several(
     within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
     changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
     beside = ", ".join(
-        f"{named(info)} {_change_words(own)}{as_late(nominal, info, own)}" for info, own in changes
+        f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
+        for info, own in changes
     )
     if parts:
         words = "; ".join(_words(nominal, one, names) for one in parts)
@@ -435,8 +436,10 @@ _WORDS = {
 }
 
 
-def _change_words(size: float) -> str:
+def _change_words(size: float, nominal: float = 1.0) -> str:
     """A relative change, given as its logarithm: beyond a factor of ten its linearisation says no figure."""
+    if nominal == 0.0:  # of which it is no share
+        return "from zero"
     if abs(size) > math.log(10.0):
         return "more than tenfold" if size > 0 else "to less than a tenth"
     return f"{100 * np.expm1(size):+.0f} %"
@@ -468,7 +471,7 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
         words = f"friction{joint} has changed (temperature, grease or wear)"
     if one.columns.shape[1] > 1:
         changes = [
-            f"{named(info)} {_change_words(own)}{as_late(system, info, own)}"
+            f"{named(info)} {_change_words(own, info.spec.value)}{as_late(system, info, own)}"
             for info, own in zip(infos, solution.sizes, strict=True)
         ]
         return f"{words}: {', '.join(changes)}"

@@ -242,6 +242,7 @@ def test_friction_that_rises_dry_and_falls_viscous_has_changed() -> None:
 def test_a_parameter_that_was_driven_to_its_bound_gets_no_absurd_figure() -> None:
     assert [_change_words(size) for size in (250.0, -250.0)] == ["more than tenfold", "to less than a tenth"]
     assert _change_words(np.log(1.3)) == "+30 %"
+    assert _change_words(1.0, 0.0) == "from zero"
 
 
 def test_what_vague_records_leave_open_is_said() -> None:
