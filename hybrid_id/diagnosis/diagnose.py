@@ -371,8 +371,8 @@ def _over_short(
     """The first step over short runs, where these say more of what is missing than whole ones; None elsewhere.
 
     Short runs are surer than whole ones of which effect it is, of those that explain the greater part over whole ones.
-    Or no effect follows the whole records, so that nothing they say of any counts, and one explains next to all that
-    short runs show.
+    Or no effect follows the whole records, or none is accepted there, so that nothing they say of any counts, and one
+    explains next to all that short runs show: a fit over whole records may be stuck far from what it would explain.
 
     Args:
         short: fits over short runs, and the re-fitted model there.
@@ -384,7 +384,7 @@ def _over_short(
     """
     if first is None:
         return selection_step(*short, system, progress=progress)
-    if fits.astray(best) > CRITERIA.lost:
+    if fits.astray(best) > CRITERIA.lost or not accepted_ones(first):
         step = selection_step(*short, system, progress=progress)
         if accepted_ones(step) and _left(step) < CRITERIA.left_open * _left(first):
             return step
