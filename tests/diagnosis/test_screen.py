@@ -211,6 +211,11 @@ def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatc
     assert found.leader.effects[0][0] == "load_dependent_friction"
     assert taken(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0), 0.01) is None
     assert taken(step(1.1, 1.0), None, 9.0) is not None
+    # nor does it count where none is accepted that follows them: a fit over whole records may be stuck
+    whole = step(12.0, 80.0)
+    monkeypatch.setattr(module, "accepted_ones", lambda one: [] if one is whole else list(one.candidates))
+    found = taken(step(10.0, 0.5), whole, 0.01)
+    assert found.leader.effects[0][0] == "load_dependent_friction"
 
 
 @pytest.mark.parametrize("structure", [False, True])
