@@ -1,6 +1,7 @@
 """`init`: dataset.yaml and model.yaml from logs, with the evidence for every guess."""
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -370,6 +371,19 @@ def _at(values: Any, place: str) -> str:
     return str(values)
 
 
+def _alike(proposal: "Proposal") -> list[str]:
+    """What is left out and why, a line for all columns of which joint and number alone differ."""
+    joints = sorted(filter(None, [*(drive.joint for drive in proposal.drives), *proposal.held]), key=len)
+    varies = re.compile("|".join([*map(re.escape, reversed(joints)), r"\d+"]))
+    found: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for name, why in proposal.left:
+        found.setdefault((varies.sub("#", name), varies.sub("#", why)), []).append((name, why))
+    more = ("" if len(some) == 1 else f" (and {len(some) - 1} alike)" for some in found.values())
+    return [
+        f"  {some[0][0]}{and_more}: {some[0][1]}" for some, and_more in zip(found.values(), more, strict=True)
+    ]
+
+
 def _say(
     proposal: "Proposal", model: "ProposedModel", dataset: "Dataset", skews: "Sequence[Skew]", left: Sequence[str],
     folder: Path, as_json: bool, copies: bool,
@@ -400,7 +414,7 @@ def _say(
     if proposal.left or left:
         show("", "Left out:")
         show(
-            *(f"  {name}: {why}" for name, why in proposal.left),
+            *_alike(proposal),
             *(f"  {one}" for one in left),
         )
     if copies:

@@ -332,6 +332,10 @@ def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: 
         ) == clear
         asked = "elements 0, 1 of the command have no names; they are taken in the order of the joints: shoulder_pan"
         assert (asked in words) != clear
+        alike = f"{names[4]} (and 1 alike): error of shoulder_pan: nothing that a drive"
+        assert (
+            alike in words and f"# {names[5]}: error of elbow_flex" in (folder / "dataset.yaml").read_text()
+        )
 
 
 def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
