@@ -252,6 +252,7 @@ class _Edit(Drives):
         )
         self.added += [self._new(tag, attributes) for tag, attributes in self.passive]
         self._masses()
+        self._compensation()
         self.notes += carried([*self.system.networks.items(), *self.system.arm.contacts], self.p)[1]
         for (old, command), names in self.replaced.items():
             self.notes.append(f"{', '.join(names)}: in the place of a {old} the actuator takes the {command}")
@@ -290,6 +291,29 @@ class _Edit(Drives):
                 self._add_payload(element, part, self.p[key])
             else:
                 self._set_inertial(element, bodies[key].held())
+
+    def _compensation(self) -> None:
+        """Write the share of each body's weight that the controller holds as its ``gravcomp``."""
+        if not self.system.arm.compensations:
+            return
+        key, known = self.system.arm.compensations[0], self.tree.believed
+        share = float(self.p[key].c_g)
+        there = {} if known is None else {body.name: body.inertia.mass for body in known.bodies}
+        for body in (body for body in self.tree.bodies if body.inertia.mass):
+            own = float(there.get(body.name, 0.0)) / float(body.inertia.mass)
+            wanted = share * (own if known else 1.0)
+            if abs(wanted - own) <= SAME:
+                continue
+            if (element := self._body(body.name)) is None:
+                self.notes.append(
+                    left_out(key, f"'{body.name}' has no name of its own in the file, or is included")
+                )
+                return
+            self.text.put(element, {"gravcomp": number(wanted)})
+        if self.system.arm.masses:
+            self.notes.append(
+                left_out(key, "MuJoCo's gravcomp holds the masses as they are here, not as they were")
+            )
 
     def _overruled(self) -> str:
         """What of the file takes masses from elsewhere than its bodies' own elements; empty where nothing does."""

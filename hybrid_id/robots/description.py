@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import Matrix, Vector, constant, constant_vector
+from hybrid_id.robots.rows import Matrix, Vector, constant, constant_vector, scale
 from hybrid_id.robots.tree import Body, Point, RigidBodyTree, Servo, SpatialInertia, Tie, TreeJoint, frame
 from hybrid_id.robots.walk import walk
 
@@ -36,8 +36,8 @@ def load_tree(path: str | Path) -> RigidBodyTree:
         path: MJCF or URDF file.
 
     Raises:
-        InputError: the file cannot be read, or it holds what is not supported: ball joints, gravity compensation,
-            or a fluid. The sentence names the element.
+        InputError: the file cannot be read, or it holds what is not supported: ball joints, or a fluid. The sentence
+            names the element.
     """
     path = Path(path)
     spec = read_spec(path)
@@ -135,11 +135,6 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
     for body in spec.bodies:
         if body.mass < 0.0:
             raise InputError(f"{path}: mass of body '{body.name}' is {body.mass:g} kg; give 0 or more.")
-        if body.gravcomp:
-            raise InputError(
-                f"{path}: body '{body.name}' has gravcomp, which is not simulated; take it out, and where the robot's "
-                'own controller compensates the weight of all links, write <option gravity="0 0 0"/>.'
-            )
 
 
 def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
@@ -167,6 +162,7 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
     """Joints and bodies of a compiled model, each body's pose in the frame of the joint that moves it."""
     joints: list[TreeJoint] = []
     bodies: list[Body] = []
+    carried: list[Body] = []
     points: dict[str, Point] = {}
     speeds = _speed_limits(path)
     held: dict[int, tuple[int, Pose]] = {0: (-1, (np.eye(3), np.zeros(3)))}  # body: its joint, its pose there
@@ -186,6 +182,10 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
         held[b] = (joint, pose)
         if joint >= 0:
             bodies.append(_body(mujoco, model, b, joint, pose))
+            if (share := float(model.body_gravcomp[b])) != 0.0:
+                own = bodies[-1].inertia
+                held_up = replace(own, mass=share * own.mass, moment=scale(share, own.moment))
+                carried.append(replace(bodies[-1], inertia=held_up))
             points[bodies[-1].name] = Point(joint, bodies[-1].position, bodies[-1].rotation)
     for number in range(model.nsite):
         joint, pose = held[int(model.site_bodyid[number])]
@@ -205,6 +205,9 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
         source=str(path.resolve()),
         tied=_bases(path, mujoco, model) | _ties(path, mujoco, model),
     )
+    if carried:
+        believed = RigidBodyTree(tree.joints, tuple(carried), tree.gravity)
+        tree = replace(tree, believed=believed)
     if max(own + joint.armature for own, joint in zip(tree.at_zero, joints, strict=True)) <= MASSLESS:
         raise InputError(
             f"{path}: no joint has an inertia to move (bodies {', '.join(body.name for body in bodies)}); give each "

@@ -390,6 +390,8 @@ class RigidBodyTree:
         held: joints of that description that do not move, and where they stand [rad or m].
         couplings: gears that couple the motors of some of the joints.
         tied: joints that cannot move alone, as those of a gripper, by name; held ones are no longer among them.
+        believed: the robot whose weight a controller holds, of bodies as heavy as what it holds of them; None where the
+            description says of none.
 
     Raises:
         InputError: a joint that stands before its parent, or two of one name; one that is not there, slides or stands
@@ -404,6 +406,7 @@ class RigidBodyTree:
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
     couplings: tuple[GearCoupling, ...] = ()
     tied: Mapping[str, Tie] = field(default_factory=dict, compare=False)
+    believed: RigidBodyTree | None = None
     _fixed: dict[str, SpatialInertia] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -534,7 +537,8 @@ class RigidBodyTree:
                 points[name] = Point(number, position, rotation)
         tied = {name: tie for name, tie in self.tied.items() if name not in at}
         tree = replace(self, joints=tuple(joints), bodies=tuple(bodies), points=points, tied=tied)
-        return replace(tree, held={**self.held, **at})
+        known = self.believed and self.believed.holding({name: at[name] for name in at if name in self.names})
+        return replace(tree, held={**self.held, **at}, believed=known)
 
     def carries(self, joint: int, other: int) -> bool:
         """Whether a joint moves what another one moves, by their numbers from 0."""

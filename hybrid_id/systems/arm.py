@@ -15,6 +15,7 @@ from hybrid_id.components.base import Attached, Component, Coupling, Shared
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.gravity_compensation import GravityCompensation
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
@@ -24,6 +25,8 @@ from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
+WEIGHT = "weight"
+"""Group of what a joint by itself carries by the description, where all of it rests."""
 LOAD = ":"
 """Between group and number in the name of a channel of what a joint by itself carries, see :meth:`Arm.with_loads`."""
 MOTION = ("angle", "speed", "acceleration")
@@ -75,6 +78,9 @@ class Arm:
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
         ]
         self.tilts = [(key, part) for key, part in components.items() if isinstance(part, BaseTilt)]
+        self.compensations = [
+            key for key, part in components.items() if isinstance(part, GravityCompensation)
+        ]
         self._groups, self._touching = list[str](), list[tuple[str, FloorContact]]()
         shared = [part for part in components.values() if isinstance(part, Shared)]
         for key, part in components.items():
@@ -123,6 +129,8 @@ class Arm:
             self._groups.append("base")
         if self._touching:
             self._groups.append("touch")
+        if self.compensations:
+            self._groups.append(WEIGHT)
         named = {body.name: body.joint for body in tree.bodies}
         for _, part in self.masses:
             joint = points[part.point].joint if isinstance(part, Payload) else named[part.point]
@@ -202,7 +210,9 @@ class Arm:
         links = [_link_motion(joint, x, p) for joint in self.joints]
         mass, torques = self._dynamics([link[0] for link in links], [link[1] for link in links], u, p)
         number, row = -1, {}  # of what turns each joint's link among the speeds, by its row in the state
+        rotors = []
         for joint in self.joints:
+            rotors.append(number + 1)
             number += len(joint.positions)
             row[joint.positions[-1]] = number
         turned: list[
@@ -215,6 +225,10 @@ class Arm:
             own = torque + joint.link_load(x, u, p) if joint.motors else torque
             for speed, slope in turned[k]:
                 _load(speeds[speed], own * slope)
+        for k, weight in enumerate(self._held_up([link[0] for link in links], u, p)):
+            soft = not self.joints[k].rigid
+            for speed, slope in [(rotors[k], 1.0 / self.joints[k].gear_ratio)] if soft else turned[k]:
+                speeds[speed].smooth = speeds[speed].smooth + weight * slope
         couplings: dict[tuple[int, int], Tensor] = {}
         for (i, j), inertia in mass.items():
             for a, slope in turned[i]:
@@ -277,6 +291,34 @@ class Arm:
         mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
 
+    def _held_up(self, angles: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> list[Tensor | float]:
+        """Torque at each of the system's joints by which a controller holds the links' weight; none without one."""
+        if not self.compensations or self.tree is None:
+            return []
+        share, tree, still = (
+            p[self.compensations[0]].c_g,
+            self.tree.believed or self.tree,
+            [0.0] * len(angles),
+        )
+        if len(self.seats) == 1:
+            load = self._resting(u)
+            weights = [tree.opposing(self.seats[0], load, angles[0], 0.0)[1]]
+        else:
+            q, v, _ = self._motion(tree, angles, still, still, u)
+            found = tree.inverse_dynamics(tree.poses(q), tree.inertias(), v)
+            weights = [found[number] for number in self.seats]
+        return [share * weight for weight in weights]
+
+    def _resting(self, u: Mapping[str, Tensor]) -> Carried:
+        """What a joint by itself carries of the weight that a controller holds, the other joints where they are."""
+        own, tree = self.seats[0], cast(RigidBodyTree, self.tree)
+        if self._known(u):
+            rows = [channel for name, channel in u.items() if name.startswith(f"{WEIGHT}{LOAD}")]
+            return Carried.of(tree.joints[own].kind, {"load": rows})
+        tree, still = tree.believed or tree, [0.0] * len(tree.joints)
+        q = self._motion(tree, [0.0], [0.0], [0.0], u)[0]
+        return tree.carried(own, q, still, still, tree.inertias())
+
     def read(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Those of the channels that the equations read: of a joint by itself what it carries, where that is known."""
         if not self._known(u):
@@ -304,11 +346,14 @@ class Arm:
         like, inner = next(iter(u.values())), {f"link{joint.parent + 1}" for joint in self.tree.joints}
         found = {
             f"{group}{LOAD}{k}": torch.as_tensor(row, dtype=like.dtype, device=like.device).expand_as(like)
-            for group, rows in self._carried(self.tree, u).groups.items()
+            for group, rows in (self._carried(self.tree, u).groups | self._weights(u)).items()
             if group not in inner or group in self._groups
             for k, row in enumerate(rows)
         }
         return {**u, **found}
+
+    def _weights(self, u: Mapping[str, Tensor]) -> dict[str, list[Tensor | float]]:
+        return {WEIGHT: self._resting(u).groups["load"]} if self.compensations else {}
 
     def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor]) -> Carried:
         """What a joint by itself carries by the description."""

@@ -17,6 +17,7 @@ from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.components.load.arm_gravity import ArmGravity
 from hybrid_id.components.load.constant_torque import ConstantTorque
 from hybrid_id.components.load.gravity import Gravity
+from hybrid_id.components.load.gravity_compensation import GravityCompensation
 from hybrid_id.components.load.one_link import OneLink, TwoInertias
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.load.spring import Spring
@@ -135,6 +136,8 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
         except InputError as error:
             where = Path(tree.source).name or "the robot's description"
             raise InputError(f"{where}, joint '{joint.name}': {error}") from None
+    if tree.believed is not None:
+        parts.append(("joint1/load", GravityCompensation(c_g=Bounded(1.0, 0.0, 2.0, "1", estimate=False))))
     return System(ratios, parts, joint_names(tree, parts), name="robot", tree=tree)
 
 

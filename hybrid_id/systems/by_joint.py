@@ -15,6 +15,7 @@ from torch.nn import Module, ModuleDict
 from hybrid_id.components.base import Component, Shared
 from hybrid_id.components.input.delay import CommonDelay, Delay
 from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.gravity_compensation import GravityCompensation
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
@@ -33,7 +34,7 @@ NOISIER = 2
 """Times that a fit is made again with noisier motion of the others, for how far it moves the estimates."""
 STILL = 10.0
 """Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
-EVERYWHERE = FloorContact, CommonDelay
+EVERYWHERE = FloorContact, CommonDelay, GravityCompensation
 """What acts on all joints and may be listed at any of them."""
 STANDS = "stands still in all train records, so it is held where it was measured"
 """Why a joint is not diagnosed."""
@@ -122,6 +123,8 @@ def some(system: System, joints: Sequence[int]) -> System:
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
     views = system.views([value.reshape(1) for value in system.theta().detach()])
     bodies = system.arm.bodies(views)
+    if system.arm.compensations:  # by a controller that knows no payload and no tilt
+        tree = replace(tree, believed=tree.believed or tree)
     tree = tree.with_bodies([body.held() for key, body in bodies.items() if not key.startswith(here)])
     if not any(key.startswith(here) for key, _ in system.arm.tilts):
         tree = tree.falling(system.arm.gravity(views))

@@ -36,6 +36,7 @@ from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.gravity_compensation import GravityCompensation
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
@@ -162,6 +163,8 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         }
     if isinstance(part, BaseTilt):
         found |= {f"gravity {i}": e for i, e in enumerate(part.gravity(p, (0.0, 0.0, -9.81)))}
+    if isinstance(part, GravityCompensation):
+        found["share"] = p.c_g * one
     if isinstance(part, BodyInertia):
         found["mass"] = p.c_m * one
         found |= {f"shift {axis}": c * one for axis, c in zip("xyz", part.shift(p), strict=True)}

@@ -36,7 +36,6 @@ def arm(joint=HINGE, inside=""):
             "",
             "joint 'b' of body 'link' is a ball joint.*put hinges in its place",
         ),
-        (arm().replace('name="link"', 'name="link" gravcomp="1"'), "", "'link' has gravcomp"),
         (arm(), '<option viscosity="1"/>', "fluid"),
         (BODY.format(name="stone", joint="", inside=""), "", "no joint that moves"),
         (arm('<joint axis="0 1 0"/>'), "", "joint of body 'link' has no name"),

@@ -1,0 +1,25 @@
+"""A controller that holds the weight of a robot's links."""
+
+from hybrid_id.components.base import Shared
+from hybrid_id.parameters import Parameter
+
+
+class GravityCompensation(Shared):
+    """Torque ``c_g G(q)`` at each motor, seen at the joint: the weight of the links as the description has them.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | c_g | 1 | share of the weight that the controller holds; 1 is all of it |
+    | G | N m or N | load of the joints by the description's bodies, those with ``gravcomp`` as far as it says |
+    | q | rad or m | positions of the joints |
+
+    Payloads, wrong masses and a tilted base are not compensated: the controller does not know them. The torque comes
+    from the motor, so that the gear passes the whole weight, and load-dependent friction feels it.
+
+    Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 14.4 (PD control with
+    gravity compensation). Differs from MuJoCo's ``gravcomp``, whose force acts at the bodies, where a gear gives way or
+    has load-dependent friction.
+    """
+
+    kind = "gravity_compensation"
+    c_g = Parameter(1.0, lower=0.0, upper=2.0, unit="1", doc="share of the links' weight that is held")
