@@ -30,8 +30,8 @@ def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> 
     for info in system.table:
         known.update(repr((info.name, info.spec)).encode())
     if tree is not None:
-        known = tree.believed and (tree.believed.bodies, tree.believed.gravity)
-        robot = tree.joints, tree.bodies, tree.gravity, tree.couplings, tree.points, tree.held, known
+        held_up = tree.believed and (tree.believed.bodies, tree.believed.gravity)
+        robot = tree.joints, tree.bodies, tree.gravity, tree.couplings, tree.points, tree.held, held_up
         known.update(digest_of(robot).encode())
     for batch in batches:
         known.update(repr((batch.names, batch.outputs)).encode())

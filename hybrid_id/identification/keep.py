@@ -201,5 +201,5 @@ def _digest(digest: Any, value: Any) -> None:
 @functools.lru_cache(maxsize=64)
 def _digest_of_tree(tree: RigidBodyTree) -> str:
     """Digest of what equal trees share; a tree has thousands of numbers, and a search has one tree."""
-    known = tree.believed and (tree.believed.bodies, tree.believed.gravity)
-    return digest_of((tree.joints, tree.bodies, tree.gravity, tree.couplings, known))
+    held_up = tree.believed and (tree.believed.bodies, tree.believed.gravity)
+    return digest_of((tree.joints, tree.bodies, tree.gravity, tree.couplings, held_up))
