@@ -13,6 +13,8 @@ from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.own_file import mujoco_model
 from hybrid_id.export.replay import agreement
+from hybrid_id.identification.checkpoint import fingerprint
+from hybrid_id.identification.keep import _digest_of_tree
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -119,3 +121,12 @@ def test_a_joint_by_itself_is_held_up_as_in_the_robot(tmp_path: Path, compiled: 
     bare = alone(system.with_values({"c_g_pan": 0.0}), 2)
     lost = simulate(bare, Engine("dry", 4, compiled=compiled), own).y[0, :, 0].numpy()
     assert np.abs(lost - whole[:, 2]).max() > 2e-2
+
+
+def test_what_is_kept_of_another_share_is_not_taken(tmp_path: Path) -> None:
+    trees = [described(tmp_path, text).tree for text in (LYING, HELD_UP, HELD_UP.replace("0.6", "0.7"))]
+    assert len({_digest_of_tree(tree) for tree in trees if tree is not None}) == 3
+    batches = [
+        fingerprint(described(tmp_path, text), []) for text in (HELD_UP, HELD_UP.replace("0.6", "0.7"))
+    ]
+    assert batches[0] != batches[1]
