@@ -106,20 +106,19 @@ def test_the_controller_knows_no_payload_and_no_tilt(tmp_path: Path) -> None:
         described(tmp_path, LYING, full, ("joint2/load", GravityCompensation()))
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_joint_by_itself_is_held_up_as_in_the_robot(tmp_path: Path, compiled: bool) -> None:
+def test_a_joint_by_itself_is_held_up_as_in_the_robot(tmp_path: Path) -> None:
     parts = ("joint3/load", Payload("elbow_link", m_l=0.2)), ("joint3/motor_friction", LoadDependent(mu=0.1))
     system = described(tmp_path, HELD_UP, *parts)
     data = records_of(system, 1)
     batch = make_batch(system, data.records, noise_std={f"q_m{j}": 1e-3 for j in (1, 2, 3)})
-    whole = simulate(system, Engine("dry", 4, compiled=compiled), batch).y[0].numpy()
+    whole = simulate(system, Engine("dry", 4, compiled=True), batch).y[0].numpy()
     one = alone(system, 2)
     measured = with_others_measured(data, system, 2)
     own = make_batch(one, measured.records, noise_std={"q_m3": 1e-3})
-    found = simulate(one, Engine("dry", 4, compiled=compiled), own).y[0, :, 0].numpy()
+    found = simulate(one, Engine("dry", 4, compiled=True), own).y[0, :, 0].numpy()
     assert np.abs(found - whole[:, 2]).max() < 0.015  # the others' motion is smoothed, and noisy
     bare = alone(system.with_values({"c_g_pan": 0.0}), 2)
-    lost = simulate(bare, Engine("dry", 4, compiled=compiled), own).y[0, :, 0].numpy()
+    lost = simulate(bare, Engine("dry", 4, compiled=True), own).y[0, :, 0].numpy()
     assert np.abs(lost - whole[:, 2]).max() > 2e-2
 
 
