@@ -374,7 +374,7 @@ def _at(values: Any, place: str) -> str:
 def _alike(proposal: "Proposal") -> list[str]:
     """What is left out and why, a line for all columns of which joint and number alone differ."""
     joints = sorted(filter(None, [*(drive.joint for drive in proposal.drives), *proposal.held]), key=len)
-    varies = re.compile("|".join([*map(re.escape, reversed(joints)), r"\d+"]))
+    varies = re.compile("|".join([*map(re.escape, reversed(joints)), r"(?<![\d.])\d+(?![\d.])"]))
     found: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for name, why in proposal.left:
         found.setdefault((varies.sub("#", name), varies.sub("#", why)), []).append((name, why))

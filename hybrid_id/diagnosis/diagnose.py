@@ -368,7 +368,7 @@ def _over_short(
     system: System,
     progress: Progress | None,
 ) -> SelectionStep | None:
-    """The first step over short runs, where these say more of what is missing than whole ones; None elsewhere.
+    """The first step over short runs, where these say more of what is missing than whole ones, if any; else None.
 
     Short runs are surer than whole ones of which effect it is, of those that explain the greater part over whole ones.
     Or no effect follows the whole records, or none is accepted there, so that nothing they say of any counts, and one
@@ -384,11 +384,13 @@ def _over_short(
     """
     if first is None:
         return selection_step(*short, system, progress=progress)
+    rivals, step = _rivals(first), None
     if fits.astray(best) > CRITERIA.lost or not accepted_ones(first):
         step = selection_step(*short, system, progress=progress)
         if accepted_ones(step) and _left(step) < CRITERIA.left_open * _left(first):
             return step
-    step = selection_step(*short, system, among=_rivals(first) or None, progress=progress)
+    if step is None or rivals:
+        step = selection_step(*short, system, among=rivals or None, progress=progress)
     return step if _rivalry(step) < _rivalry(first) else None
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -21,9 +21,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid_id import __version__
+from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.errors import InputError
-from hybrid_id.export.curves import left_out
+from hybrid_id.export.curves import left_out, noted
 from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, commanded, number, numbers
 from hybrid_id.robots.description import braking, compiled, idle, read_spec, without_missing_meshes
 from hybrid_id.robots.tree import Body, RigidBodyTree, TreeJoint
@@ -297,23 +298,23 @@ class _Edit(Drives):
         if not self.system.arm.compensations:
             return
         key, known = self.system.arm.compensations[0], self.tree.believed
-        share = float(self.p[key].c_g)
+        share, heavy = float(self.p[key].c_g), [body for body in self.tree.bodies if body.inertia.mass]
         there = {} if known is None else {body.name: body.inertia.mass for body in known.bodies}
-        for body in (body for body in self.tree.bodies if body.inertia.mass):
-            own = float(there.get(body.name, 0.0)) / float(body.inertia.mass)
-            wanted = share * (own if known else 1.0)
-            if abs(wanted - own) <= SAME:
-                continue
-            if (element := self._body(body.name)) is None:
-                self.notes.append(
-                    left_out(key, f"'{body.name}' has no name of its own in the file, or is included")
-                )
-                return
-            self.text.put(element, {"gravcomp": number(wanted)})
-        if self.system.arm.masses:
-            self.notes.append(
-                left_out(key, "MuJoCo's gravcomp holds the masses as they are here, not as they were")
+        own = {body.name: float(there.get(body.name, 0.0)) / float(body.inertia.mass) for body in heavy}
+        wanted = {name: share * (now if known else 1.0) for name, now in own.items()}
+        changed = {name: value for name, value in wanted.items() if abs(value - own[name]) > SAME}
+        if lacking := [name for name in changed if self._body(name) is None]:
+            reason = (
+                f"for '{lacking[0]}' has no name of its own in the file, or stands in one that it includes"
             )
+            self.notes.append(left_out(key, reason))
+            return
+        for name, value in changed.items():
+            self.text.put(cast(_Element, self._body(name)), {"gravcomp": number(value)})
+        wrong = ["changed masses"] * any(isinstance(part, BodyInertia) for _, part in self.system.arm.masses)
+        if wrong := wrong + ["the tilt"] * bool(self.system.arm.tilts):
+            words = f"holds the weight in MuJoCo with {' and '.join(wrong)}, which the robot's controller does not know"
+            self.notes.append(noted(key, words))
 
     def _overruled(self) -> str:
         """What of the file takes masses from elsewhere than its bodies' own elements; empty where nothing does."""

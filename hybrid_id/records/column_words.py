@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 KINDS: dict[str, frozenset[str]] = {
@@ -251,12 +251,13 @@ def tokens(name: str) -> list[str]:
     return [part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-zµ]+|\d+", name)]
 
 
-def read_name(name: str, joints: Sequence[str] = ()) -> ColumnWords:
+def read_name(name: str, joints: Sequence[str] = (), others: Collection[str] = ()) -> ColumnWords:
     """See what a column's name says.
 
     Args:
         name: of the column.
         joints: names of the robot's joints; one that stands in the name is the column's joint.
+        others: names of all columns: ``q_d`` is what is desired of a ``q`` among them, as libfranka writes it.
     """
     own = re.fullmatch(r"([a-z_]+?)(\d+)", name)
     if own and own[1] in CHANNELS:
@@ -289,8 +290,9 @@ def read_name(name: str, joints: Sequence[str] = ()) -> ColumnWords:
         kind = "time"
     if kind == "angle" and unit in ("rad/s", "deg/s", "rpm", "rev/s"):
         kind = "speed"
-    # as libfranka writes what is desired: q_d, tau_J_d
-    desired = bool(kind) and "d" in found
+    desired = (
+        "d" in found and kind in ("angle", "speed", "torque") and _without_d(name) in map(tokens, others)
+    )
     left = [word for word in words if word not in VOCABULARY and not (desired and word == "d")]
     return ColumnWords(
         name=name,
@@ -303,6 +305,10 @@ def read_name(name: str, joints: Sequence[str] = ()) -> ColumnWords:
         counter=bool(found & COUNTERS) or (not kind and left == [] and not found),
         speed_or_voltage=bare,
     )
+
+
+def _without_d(name: str) -> list[str]:
+    return [word for word in tokens(name) if word != "d"]
 
 
 def _spaced(name: str) -> str:

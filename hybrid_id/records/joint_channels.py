@@ -98,7 +98,16 @@ def find_pair(
     """
     if joint is not None and joint.tied:
         for one in columns:
-            evidence.leave(one.name, f"of {title}, which is held for {joint.tied}{_about(one, evidence)}")
+            at = "" if one.command else _about(one, evidence)
+            evidence.leave(one.name, f"of {title}, which is held because of {joint.tied}{at}")
+        moving = [one for one in columns if one.kind == "angle" and not one.command and _goes(one, evidence)]
+        if moving:
+            name = moving[0].name
+            evidence.ask(
+                f"Does {title}, which moves in the logs ({name} goes through {evidence.span(name):.3g}), move little, "
+                f"as a gripper does? It is held because of {joint.tied}: else take that out of the robot's file, or "
+                "leave logs out in which it moves."
+            )
         return None
     rests = joint is not None and _rests(columns, evidence)
     columns = [one for one in columns if not _still(one, evidence)]
@@ -124,6 +133,11 @@ def find_pair(
             )
         return None
     return Pair(title, joint, columns, kinds, command, angle, speed)
+
+
+def _goes(one: ColumnWords, evidence: Evidence) -> bool:
+    """Whether an angle goes through more than one that rests."""
+    return evidence.span(one.name) > RESTS * evidence.far(one.name)
 
 
 def _about(one: ColumnWords, evidence: Evidence) -> str:
@@ -161,7 +175,7 @@ def _rests(columns: Sequence[ColumnWords], evidence: Evidence) -> bool:
     """Whether a joint's goal stands still in all logs, and so does its angle, nearly."""
     goals = [one for one in columns if one.kind == "goal" or (one.command and one.kind in ("", "angle"))]
     angles = [one for one in columns if one.kind == "angle" and not one.command]
-    still = all(evidence.span(one.name) <= RESTS * evidence.far(one.name) for one in angles)
+    still = not any(_goes(one, evidence) for one in angles)
     return goals != [] and still and not any(evidence.moves(one.name) for one in goals)
 
 

@@ -53,7 +53,7 @@ def propose(
     """
     sheet = sheet or MotorSheet()
     names = [joint.name for joint in joints]
-    words = {name: read_name(name, names) for name in logs[0].columns}
+    words = {name: read_name(name, names, logs[0].columns.keys()) for name in logs[0].columns}
     time = _time(logs, words)
     proposal = Proposal(time, list(logs))
     proposal.left += [(name, why) for name, why in logs[0].left.items()]
@@ -314,6 +314,7 @@ def _groups(
     named = [*named, *rest]
     stems = {_element(key)[0] for key in named}  # what all have in common says nothing of a joint
     short = bool(joints) and len(stems) == 1 and not any(key in joints for key in named)
+    short = short and not any(set(tokens(min(stems))) & set(tokens(name)) for name in joints)
     return {_element(key)[1] if short else key: groups[key] for key in named}
 
 
@@ -328,7 +329,7 @@ def _take_elements(
 ) -> None:
     """Give the numbered elements of a command, which are as many as the joints, to these.
 
-    They are those whose angles follow them, where that is clear, else in the order of the robot or the log, and asked.
+    They are those whose angles follow them, where that is clear, else in the joints' order, which is asked about.
     """
     loose: dict[str, list[str]] = {}
     for key in groups:
@@ -401,8 +402,9 @@ def _place(
             continue
         digits = re.findall(r"\d+$", key)
         place = int(digits[0]) - min(first, 1) if digits else 0 if len(keys) == 1 else -1
-        own = [str(int(number) + from_zero) for number in digits]
-        same = [joint for joint, last in called.items() if digits and last == own]
+        own, side = [str(int(number) + from_zero) for number in digits], set(tokens(_element(key)[0]))
+        near = [joint for joint in called if side & set(tokens(joint.name))] or list(called)  # left_1, say
+        same = [joint for joint in near if digits and called[joint] == own]
         joint = same[0] if len(same) == 1 else joints[place] if 0 <= place < len(joints) else None
         if joint is None or joint in [one for _, one in found]:
             proposal.left += [(one.name, "no joint of the robot is called so") for one in groups[key]]

@@ -26,7 +26,7 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 
 def load_tree(path: str | Path) -> RigidBodyTree:
-    """The rigid-body tree of a robot on a fixed base, with its joints named as in the file.
+    """The rigid-body tree of a robot, with its joints named as in the file.
 
     Contacts and sensors are left out, and of the actuators all but MuJoCo's ``position`` at a joint. Of meshes that
     are not there a body does not need any, where its inertia is written down. Joints that tendons and equality
@@ -220,11 +220,14 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
     """Joints that tendons and equality constraints tie to others or to a place; those switched off tie none."""
     found: dict[str, Tie] = {}
 
-    def tie(kind: Any, number: int, word: str, joints: Iterable[int], apart: float = 0.0) -> None:
+    def tie(
+        kind: Any, number: int, word: str, joints: Iterable[int], first: int = -1, apart: float = 0.0
+    ) -> None:
         title = mujoco.mj_id2name(model, kind, number)
         by = f"{word} '{title}'" if title else f"{word} {number + 1}"
         for j in sorted(j for j in joints if not _floats(mujoco, model, j)):
-            at = float(model.qpos0[int(model.jnt_qposadr[j])]) + apart
+            at = float(model.qpos0[int(model.jnt_qposadr[j])]) + (apart if j == first else 0.0)
+            at = float(np.clip(at, *model.jnt_range[j])) if model.jnt_limited[j] else at
             found.setdefault(mujoco.mj_id2name(model, obj.mjOBJ_JOINT, j), Tie(by, at))
 
     eq, obj, trn = mujoco.mjtEq, mujoco.mjtObj, mujoco.mjtTrn
@@ -236,9 +239,9 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
     off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     for i in () if off else np.flatnonzero(model.eq_active0):
         ends = [int(end) for end in (model.eq_obj1id[i], model.eq_obj2id[i]) if end >= 0]
-        kind, apart = eq(int(model.eq_type[i])), 0.0
+        kind = eq(int(model.eq_type[i]))
         if kind == eq.mjEQ_JOINT:
-            joints, apart = set(ends), float(model.eq_data[i][0]) if len(ends) == 1 else 0.0
+            joints = set(ends)
         elif kind == eq.mjEQ_TENDON:
             joints = set().union(*(_wrapped(mujoco, model, t) for t in ends))
         elif kind in (eq.mjEQ_CONNECT, eq.mjEQ_WELD):
@@ -248,20 +251,25 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
             raise InputError(f"{path}: an equality constraint of a flex is not simulated; take it out.")
         # MuJoCo makes a URDF's <mimic> one
         word = "mimic" if path.suffix.lower() == ".urdf" else "equality"
-        tie(obj.mjOBJ_EQUALITY, int(i), word, joints, apart)
+        first = (
+            ends[0] if kind == eq.mjEQ_JOINT else -1
+        )  # which the equality puts apart from where it is drawn
+        tie(obj.mjOBJ_EQUALITY, int(i), word, joints, first, float(model.eq_data[i][0]))
     return found
 
 
 def _bases(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
     """Floating bases that carry joints, by the name of their joint or else of their body."""
     found: dict[str, Tie] = {}
+    taken = [model.joint(j).name for j in range(model.njnt) if not _floats(mujoco, model, j)]
     for j in (j for j in range(model.njnt) if _floats(mujoco, model, j)):
         body = int(model.jnt_bodyid[j])
         if np.count_nonzero(model.body_rootid[model.jnt_bodyid] == body) > 1:
             ways = ((mujoco.mjtObj.mjOBJ_JOINT, j), (mujoco.mjtObj.mjOBJ_BODY, body))
             names = [name for kind, number in ways if (name := mujoco.mj_id2name(model, kind, number))]
-            if not names:
-                raise InputError(f"{path}: the floating base has no name; give its body or its joint one.")
+            if not names or names[0] in taken:
+                fault = f"is called '{names[0]}' as another joint is" if names else "has no name"
+                raise InputError(f"{path}: the floating base {fault}; give its joint a name of its own.")
             found[names[0]] = Tie("a floating base", 0.0)
     return found
 

@@ -389,7 +389,7 @@ class RigidBodyTree:
         source: the description that it was read from; empty where there is none.
         held: joints of that description that do not move, and where they stand [rad or m].
         couplings: gears that couple the motors of some of the joints.
-        tied: joints that cannot move alone, as those of a gripper, by name; held ones are no longer among them.
+        tied: joints that cannot move alone, as those of a gripper, and a floating base, by name, until they are held.
         believed: the robot whose weight a controller holds, of bodies as heavy as what it holds of them; None where the
             description says of none.
 
@@ -488,10 +488,9 @@ class RigidBodyTree:
         Raises:
             InputError: a name that no joint has, a position that it cannot have, or no joint left that moves.
         """
-        if unknown := [name for name in at if name not in (*self.names, *self.tied)]:
-            raise InputError(
-                f"The robot has no joint '{unknown[0]}' to hold; it has {', '.join(self.names)}."
-            )
+        known = [*(name for name in self.tied if name not in self.names), *self.names]
+        if unknown := [name for name in at if name not in known]:
+            raise InputError(f"The robot has no joint '{unknown[0]}' to hold; it has {', '.join(known)}.")
         for name, place in at.items():
             if name not in self.names:
                 if place != 0.0:
@@ -537,8 +536,8 @@ class RigidBodyTree:
                 points[name] = Point(number, position, rotation)
         tied = {name: tie for name, tie in self.tied.items() if name not in at}
         tree = replace(self, joints=tuple(joints), bodies=tuple(bodies), points=points, tied=tied)
-        known = self.believed and self.believed.holding({name: at[name] for name in at if name in self.names})
-        return replace(tree, held={**self.held, **at}, believed=known)
+        own = {name: place for name, place in at.items() if name in self.names}
+        return replace(tree, held={**self.held, **at}, believed=self.believed and self.believed.holding(own))
 
     def carries(self, joint: int, other: int) -> bool:
         """Whether a joint moves what another one moves, by their numbers from 0."""

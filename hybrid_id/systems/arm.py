@@ -97,7 +97,12 @@ class Arm:
         for kind, point in known:
             if known.count((kind, point)) > 1:
                 at = f" at '{point}'" if point else ""
-                raise InputError(f"{kind} is listed twice{at}; keep one of them.")
+                cure = "keep one of them"
+                if kind == GravityCompensation.kind and tree is not None and tree.believed is not None:
+                    cure = (
+                        f"the robot's file brings one at {tree.names[0]} by its gravcomp, so list yours there"
+                    )
+                raise InputError(f"{kind} is listed twice{at}; {cure}.")
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
                 raise InputError(

@@ -148,10 +148,11 @@ def _refuse_tied(tree: RigidBodyTree) -> None:
     by = " and ".join(dict.fromkeys(tie.by for tie in tree.tied.values()))
     places = {**tree.held, **{name: tie.at for name, tie in tree.tied.items()}}
     hold = ", ".join(f"{name}: {at:g}" for name, at in places.items())
+    entry = f"robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}"
     raise InputError(
         f"{tree.source}: {', '.join(tree.tied)} cannot move freely here ({by}); hold what stands still, as a gripper "
-        f"or a base on a rack, in model.yaml: 'robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}', with its "
-        "places; where a wrist's gear couples joints, take that out and write 'couplings' in model.yaml."
+        f"or a base on a rack, where it stands, in model.yaml ('{entry}'); "
+        "where a wrist's gear couples joints, take that out and write 'couplings' in model.yaml."
     )
 
 

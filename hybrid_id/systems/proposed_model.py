@@ -295,8 +295,16 @@ def _robot(
         whom = ["no command moves in the logs"] * bool(lone) + ["are tied to others"] * bool(tied)
         where = ", ".join(stand[name] for name in (*lone, *tied))
         model.ask(
-            f"Where do joints stand that {' or '.join(whom)}? {where} (rad or m) is assumed: where the file draws "
-            "them, 0, or the end of the range that is next to it; correct 'hold' in model.yaml."
+            f"Where do joints stand that {' or '.join(whom)}? {where} (rad or m) is assumed, by the robot's file; "
+            "correct 'hold' in model.yaml."
+        )
+    if tree.believed is not None:
+        model.why["robot"] += (
+            "; with gravcomp: a controller that holds the links' weight (gravity_compensation)"
+        )
+        model.ask(
+            "Does the robot's own controller hold the weight of its links beside what the logs command, as gravcomp in "
+            "its file says? Else list gravity_compensation with c_g 0 at the first joint."
         )
     if bases:
         model.ask(

@@ -338,6 +338,52 @@ def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: 
         )
 
 
+def test_d_is_what_is_desired_only_beside_what_is_measured(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(
+        ARM.format(actuators="").replace("shoulder_pan", "b").replace("elbow_flex", "d")
+    )
+    for k, names in enumerate((["cmd_b", "cmd_d", "pos_b", "pos_d"], ["i_q", "i_d", "pos"])):
+        folder = tmp_path / f"logs{k}"
+        folder.mkdir()
+        for seed in range(3):
+            t, goal, angle = swing(seed)
+            two = np.column_stack([t, goal - angle, angle[:, 0]]) * [1.0, 1.0, 1e-3, 1.0]
+            table = two if k else np.column_stack([t, goal, angle])
+            header = ",".join(["time", *names])
+            np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+        more = () if k else ("--robot", tmp_path / "arm.xml")
+        done = run("init", folder, *more)
+        assert done.code == 0, done.err
+        entries = written(folder)[0]["columns"].items()
+        found = {one if isinstance(one, str) else one["column"]: name for name, one in entries}
+        if k:
+            assert found["i_q"] == "i1", found
+        else:
+            assert (found["cmd_d"], found["pos_d"]) == ("goal2", "q_a2"), found
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_columns_of_one_arm_are_not_those_of_the_other(run, tmp_path: Path, side: str) -> None:
+    pytest.importorskip("mujoco")
+    arm = ARM[ARM.index('<body name="upper">') : ARM.index("\n</worldbody>")]
+    arm = arm.replace("shoulder_pan", "joint1").replace("elbow_flex", "joint2")
+    both = "".join(arm.replace('name="', f'name="{one}_') for one in ("right", "left"))
+    compiler = '<compiler angle="radian"/>'
+    (tmp_path / "arms.xml").write_text(f"<mujoco>{compiler}<worldbody>{both}</worldbody></mujoco>")
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    header = ",".join(["time", *(f"{side}_{k}_{what}" for what in ("pos", "goal") for k in (1, 2))])
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        table = np.column_stack([t, angle, goal])
+        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
+    done = run("init", folder, "--robot", tmp_path / "arms.xml")
+    assert done.code == 0, done.err
+    other = "left" if side == "right" else "right"
+    assert set(written(folder)[1]["robot"]["hold"]) == {f"{other}_joint1", f"{other}_joint2"}
+
+
 def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
     """A loop too stiff for the lag of one joint is none for its neighbour, which gravity holds off its goal."""
     pytest.importorskip("mujoco")
@@ -458,9 +504,11 @@ def test_joints_of_a_gripper_are_held_though_they_move_in_the_logs(run, tmp_path
     assert model["robot"]["hold"] == {"elbow_flex": 0.0}
     words = " ".join(done.out.split())
     assert (
-        "elbow_flex.pos: of elbow_flex, which is held for equality 'jaws' (elbow_flex.pos is about" in words
+        "elbow_flex.pos: of elbow_flex, which is held because of equality 'jaws' (elbow_flex.pos is about"
+        in words
     )
     assert "tied by equality 'jaws', so held: elbow_flex at 0" in words
+    assert "Does elbow_flex, which moves in the logs (elbow_flex.pos goes through" in words
     assert "Where do joints stand that are tied to others? elbow_flex at 0 (rad or m)" in words
 
 

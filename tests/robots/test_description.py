@@ -40,6 +40,11 @@ def arm(joint=HINGE, inside=""):
         (BODY.format(name="stone", joint="", inside=""), "", "no joint that moves"),
         (arm('<joint axis="0 1 0"/>'), "", "joint of body 'link' has no name"),
         (f"<body><freejoint/>{arm()}</body>", "", "the floating base has no name"),
+        (
+            f'<body name="turn"><freejoint/>{arm()}</body>',
+            "",
+            "the floating base is called 'turn' as another joint is",
+        ),
         ("<body", "", "robot.xml"),
     ],
 )
@@ -155,6 +160,9 @@ def test_a_joint_held_for_a_tie_stands_where_the_description_draws_it(tmp_path):
     slide = '<joint name="grip" type="slide" ref="0.4" axis="1 0 0"/>'
     world = arm(inside=BODY.format(name="jaw", joint=slide, inside=""))
     tree = load_tree(described(tmp_path, world, '<equality><joint joint1="grip" polycoef="0.1"/></equality>'))
+    path = tmp_path / "robot.xml"
+    path.write_text(path.read_text().replace('ref="0.4"', 'ref="0.4" limited="true" range="0.45 0.48"'))
+    assert load_tree(path).tied["grip"].at == pytest.approx(0.48)  # within its range
     assert tree.tied["grip"].at == 0.5  # what the equality says is beside where it is drawn
     assert tree.holding({"grip": 0.4}).points["jaw"].position == (0.0, 0.0, 0.0)
 

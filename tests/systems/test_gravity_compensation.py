@@ -7,7 +7,7 @@ import pytest
 import torch
 from servo_arm import ARM, records_of
 
-from hybrid_id.components import BaseTilt, GravityCompensation, LoadDependent, Payload
+from hybrid_id.components import BaseTilt, BodyInertia, GravityCompensation, LoadDependent, Payload
 from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
@@ -102,8 +102,25 @@ def test_the_controller_knows_no_payload_and_no_tilt(tmp_path: Path) -> None:
         assert np.abs(felt).max() > 0.05
         with_it = described(tmp_path, LYING, full, ("joint3/load", part))
         np.testing.assert_allclose(holding(with_it, q), felt, atol=1e-12)
-    with pytest.raises(InputError, match="gravity_compensation is listed twice"):
+    with pytest.raises(InputError, match="gravity_compensation is listed twice; keep one of them"):
         described(tmp_path, LYING, full, ("joint2/load", GravityCompensation()))
+    with pytest.raises(InputError, match="listed twice; the robot's file brings one at pan by its gravcomp"):
+        described(tmp_path, HELD_UP, ("joint2/load", GravityCompensation()))
+
+
+def test_what_mujocos_gravcomp_knows_and_the_controller_does_not_is_said(tmp_path: Path) -> None:
+    def notes(*parts: tuple[str, Component], text: str = HELD_UP) -> list[str]:
+        return list(to_mjcf(described(tmp_path, text, *parts)).notes)
+
+    assert (
+        notes(("joint3/load", Payload("elbow_link", m_l=0.3))) == []
+    )  # a body of its own, which nothing holds
+    assert "with the tilt, which" in notes(("joint3/load", BaseTilt(e_x=0.2)))[0]
+    assert "with changed masses, which" in notes(("joint3/load", BodyInertia("elbow_link", c_m=1.5)))[0]
+    unnamed = HELD_UP.replace('<body name="upper" ', "<body ")
+    system = described(tmp_path, unnamed).with_values({"c_g_pan": 0.5})
+    exported = to_mjcf(system)
+    assert "is left out, for 'body" in exported.notes[0] and 'gravcomp="1"' in exported.text  # all or none
 
 
 def test_a_joint_by_itself_is_held_up_as_in_the_robot(tmp_path: Path) -> None:

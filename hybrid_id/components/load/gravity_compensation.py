@@ -14,7 +14,8 @@ class GravityCompensation(Shared):
     | q | rad or m | positions of the joints |
 
     Payloads, wrong masses and a tilted base are not compensated: the controller does not know them. The torque comes
-    from the motor, so that the gear passes the whole weight, and load-dependent friction feels it.
+    from the motor, so that the gear passes the whole weight, and load-dependent friction feels it. It does not count
+    towards limits of torque, and stays where motors are switched off.
 
     Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 14.4 (PD control with
     gravity compensation). Differs from MuJoCo's ``gravcomp``, whose force acts at the bodies, where a gear gives way or
