@@ -93,16 +93,7 @@ class Arm:
                 )
         if tree is not None and len(self.seats) == 1:
             self._take_alone(tree)
-        known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
-        for kind, point in known:
-            if known.count((kind, point)) > 1:
-                at = f" at '{point}'" if point else ""
-                cure = "keep one of them"
-                if kind == GravityCompensation.kind and tree is not None and tree.believed is not None:
-                    cure = (
-                        f"the robot's file brings one at {tree.names[0]} by its gravcomp, so list yours there"
-                    )
-                raise InputError(f"{kind} is listed twice{at}; {cure}.")
+        self._refuse_twice(shared)
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
                 raise InputError(
@@ -124,6 +115,20 @@ class Arm:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
+
+    def _refuse_twice(self, shared: Sequence[Shared]) -> None:
+        """Refuse what acts on all joints and is listed at several."""
+        tree = self.tree
+        known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
+        for kind, point in known:
+            if known.count((kind, point)) > 1:
+                at = f" at '{point}'" if point else ""
+                cure = "keep one of them"
+                if kind == GravityCompensation.kind and tree is not None and tree.believed is not None:
+                    cure = (
+                        f"the robot's file brings one at {tree.names[0]} by its gravcomp, so list yours there"
+                    )
+                raise InputError(f"{kind} is listed twice{at}; {cure}.")
 
     def _take_alone(self, tree: RigidBodyTree) -> None:
         """Find the contacts that a joint by itself moves, and what it reads of :attr:`Carried.groups`."""

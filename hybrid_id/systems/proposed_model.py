@@ -282,35 +282,7 @@ def _robot(
     model = ProposedModel({"robot": entry})
     order = ", ".join(drive.joint for drive in drives)
     model.why["robot"] = f"joints from the base outwards, as they are numbered: {order}"
-    stand = {name: f"{name} at {value:.4g}" for name, value in rest.items()}
-    lone = [name for name in rest if name not in tree.tied]
-    tied, bases = ([name for name in tree.tied if (name in tree.names) == known] for known in (True, False))
-    ties = " and ".join(dict.fromkeys(tree.tied[name].by for name in tied))
-    for names, why in (
-        (lone, "moved by no command in the logs"), (tied, f"tied by {ties}"), (bases, "a floating base")
-    ):  # fmt: skip
-        if names:
-            model.why["robot"] += f"; {why}, so held: {', '.join(stand[name] for name in names)}"
-    if lone or tied:
-        whom = ["no command moves in the logs"] * bool(lone) + ["are tied to others"] * bool(tied)
-        where = ", ".join(stand[name] for name in (*lone, *tied))
-        model.ask(
-            f"Where do joints stand that {' or '.join(whom)}? {where} (rad or m) is assumed, by the robot's file; "
-            "correct 'hold' in model.yaml."
-        )
-    if tree.believed is not None:
-        model.why["robot"] += (
-            "; with gravcomp: a controller that holds the links' weight (gravity_compensation)"
-        )
-        model.ask(
-            "Does the robot's own controller hold the weight of its links beside what the logs command, as gravcomp in "
-            "its file says? Else list gravity_compensation with c_g 0 at the first joint."
-        )
-    if bases:
-        model.ask(
-            f"Does the base {bases[0]} stand still in all logs, turned as the robot's file draws it? It is taken so; "
-            "leave out logs in which it moves."
-        )
+    _ask_of_held(model, tree, rest)
     ratios = _ratios(sheet, len(drives))
     if ratios:
         model.values["gear_ratio"], model.why["gear_ratio"] = ratios, "motor's sheet"
@@ -342,6 +314,39 @@ def _robot(
         model.values["servos"], model.why["servos"] = servos, "motor's sheet"
     _ask_of_gains(model, late, placeholders, register=bool(servos) and sheet.p is None)
     return model
+
+
+def _ask_of_held(model: ProposedModel, tree: RigidBodyTree, rest: Mapping[str, float]) -> None:
+    """Say which joints are held where, and ask about them, about a floating base and about a weight that is held."""
+    stand = {name: f"{name} at {value:.4g}" for name, value in rest.items()}
+    lone = [name for name in rest if name not in tree.tied]
+    tied, bases = ([name for name in tree.tied if (name in tree.names) == known] for known in (True, False))
+    ties = " and ".join(dict.fromkeys(tree.tied[name].by for name in tied))
+    for names, why in (
+        (lone, "moved by no command in the logs"), (tied, f"tied by {ties}"), (bases, "a floating base")
+    ):  # fmt: skip
+        if names:
+            model.why["robot"] += f"; {why}, so held: {', '.join(stand[name] for name in names)}"
+    if lone or tied:
+        whom = ["no command moves in the logs"] * bool(lone) + ["are tied to others"] * bool(tied)
+        where = ", ".join(stand[name] for name in (*lone, *tied))
+        model.ask(
+            f"Where do joints stand that {' or '.join(whom)}? {where} (rad or m) is assumed, by the robot's file; "
+            "correct 'hold' in model.yaml."
+        )
+    if tree.believed is not None:
+        model.why["robot"] += (
+            "; with gravcomp: a controller that holds the links' weight (gravity_compensation)"
+        )
+        model.ask(
+            "Does the robot's own controller hold the weight of its links beside what the logs command, as gravcomp in "
+            "its file says? Else list gravity_compensation with c_g 0 at the first joint."
+        )
+    if bases:
+        model.ask(
+            f"Does the base {bases[0]} stand still in all logs, turned as the robot's file draws it? It is taken so; "
+            "leave out logs in which it moves."
+        )
 
 
 def _ask_of_motors(
