@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ class Mjcf:
         notes: what it leaves out or carries otherwise, a sentence each.
         joints, motors: names of the joints and of their actuators there.
         home: folder that its files (meshes, includes) are named from; None where it names none.
-        held: names of joints that the system holds still; the document leaves them as they were.
+        held: joints that the system holds still, and where [rad or m]; the document leaves them as they were.
     """
 
     text: str
@@ -50,7 +50,7 @@ class Mjcf:
     joints: tuple[str, ...]
     motors: tuple[str, ...]
     home: Path | None = None
-    held: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
 
 
 class Drives:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,8 +35,6 @@ SAME = 1e-9
 """Relative difference below which a value of the file stands."""
 AT_JOINT = (0, 1)
 """MuJoCo's numbers of transmissions to a joint: in its own frame, and in its parent's."""
-HOLDS = 1e9
-"""Rotor inertia [kg m^2 or kg] with which a replay holds a joint still."""
 OWN = "hybrid_id"
 """Class of the actuators that the drives bring, so that no default of the file reaches into these."""
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
@@ -103,16 +101,26 @@ def mujoco_model(exported: Mjcf) -> Any:
     if exported.home is not None:
         spec.modelfiledir = str(exported.home)
         without_missing_meshes(exported.home / "exported", mujoco, spec)
-    model = spec.compile()
-    for name in exported.held:  # whatever pulls at it; the document's own joint may move
-        model.dof_armature[np.flatnonzero(model.dof_jntid == held_joint(model, name))] = HOLDS
-    return model
+    return _held_still(mujoco, spec, exported.held) if exported.held else spec.compile()
 
 
-def held_joint(model: Any, name: str) -> int:
-    """Number of a joint that a system holds, in MuJoCo's model: by its name, or of a base without one by its body's."""
-    joints = [k for k in range(model.njnt) if model.joint(k).name == name]
-    return joints[0] if joints else int(model.body(name).jntadr[0])
+def _held_still(mujoco: Any, spec: Any, held: Mapping[str, float]) -> Any:
+    """The model in which joints are held: a base without its free joint, others by an equality, stiff as may be."""
+    model, stiff = spec.compile(), 2.0 * spec.option.timestep
+    names = {model.joint(k).name for k in range(model.njnt)}
+    bases = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    for joint in (one for one in bases if {one.name, one.parent.name} & held.keys()):
+        spec.delete(joint)
+        for key in list(spec.keys):  # whose positions are those with the base's
+            spec.delete(key)
+    for name, at in held.items():
+        if name in names and model.joint(name).qpos0.size == 1:
+            one = spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_JOINT, name1=name, objtype=mujoco.mjtObj.mjOBJ_JOINT
+            )
+            one.data[0] = at - float(model.joint(name).qpos0[0])
+            one.solref[:], one.solimp[:3] = (stiff, 1.0), (0.99, 0.999, 0.001)
+    return spec.compile()
 
 
 def _included(text: str, home: Path) -> dict[str, bytes]:
@@ -269,7 +277,7 @@ class _Edit(Drives):
         files = any(e.tag == "include" or "file" in e.values for e in self.text.elements)
         return Mjcf(
             str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None,
-            tuple(self.tree.held),
+            dict(self.tree.held),
         )  # fmt: skip
 
     def _new(self, tag: str, attributes: Attributes) -> str:

@@ -17,7 +17,7 @@ from hybrid_id.components.input.position_loop import PositionLoop
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
 from hybrid_id.export.drives import Mjcf
-from hybrid_id.export.own_file import held_joint, mujoco_model
+from hybrid_id.export.own_file import mujoco_model
 from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
@@ -250,10 +250,10 @@ def _mujoco_replay(
             state |= {gear: [b - a for a, b in zip(rotor, link, strict=True)]} if gear else {name: link}
         for hinge, (angle, speed) in state.items():
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
+    joints = {model.joint(k).name for k in range(model.njnt)}
     for hinge, angle in (system.tree.held if system.tree else {}).items():
-        own = data.joint(held_joint(model, hinge)).qpos
-        if own.size == 1:  # else a base, which stands as it is drawn
-            own[:] = angle
+        if hinge in joints:  # else a base, which stands as it is drawn
+            data.joint(hinge).qpos[:] = angle
     motors = [model.actuator(name).id for name in exported.motors]
     commands = [
         _Command(system, joint, exported, record, model, bool(model.actuator_biastype[motor]))

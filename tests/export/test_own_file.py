@@ -115,7 +115,7 @@ def test_a_joint_that_is_held_is_held_there(tmp_path: Path) -> None:
     system = arm(tmp_path, "robot: {file: arm.xml, hold: {elbow: 1.2}}\n", text)
     exported = to_mjcf(system)
     assert "elbow: held still in the model; here as the file has it" in exported.notes
-    assert "equality" not in exported.text and exported.held == ("elbow",)
+    assert "equality" not in exported.text and exported.held == {"elbow": 1.2}
     assert apart(system, waves(system, [0.4], ["goal1"])) < 5e-3
     model = mujoco_model(exported)
     data = mujoco.MjData(model)
@@ -138,7 +138,7 @@ def test_a_gripper_is_held_in_the_model_and_grips_in_the_file(tmp_path: Path) ->
         arm(tmp_path, text=text)
     model = "robot: {file: arm.xml, hold: {left: 0.01, right: 0.01}}\n"
     exported = to_mjcf(system := arm(tmp_path, model, text))
-    assert tied in exported.text and pull in exported.text and exported.held == ("left", "right")
+    assert tied in exported.text and pull in exported.text and exported.held == {"left": 0.01, "right": 0.01}
     assert apart(system, waves(system, [0.4, 0.2], ["goal1", "tau2"])) < 2e-3
     free = mujoco.MjModel.from_xml_string(exported.text)
     data = mujoco.MjData(free)
@@ -158,7 +158,7 @@ def test_a_robot_on_a_rack_floats_again_in_its_file(tmp_path: Path, own: str) ->
         {"F_c_lift": 0.07}
     )
     exported = to_mjcf(system)
-    assert own in exported.text and exported.held == (name,)
+    assert own in exported.text and exported.held == {name: 0.0}
     assert apart(system, waves(system, [0.4, 0.2], ["goal1", "tau2"])) < 2e-3
     free = mujoco.MjModel.from_xml_string(exported.text)
     assert free.nq == 9 and free.dof_armature[:6].tolist() == [0.0] * 6
