@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -311,14 +311,13 @@ class _Edit(Drives):
         own = {body.name: float(there.get(body.name, 0.0)) / float(body.inertia.mass) for body in heavy}
         wanted = {name: share * (now if known else 1.0) for name, now in own.items()}
         changed = {name: value for name, value in wanted.items() if abs(value - own[name]) > SAME}
-        if lacking := [name for name in changed if self._body(name) is None]:
-            reason = (
-                f"for '{lacking[0]}' has no name of its own in the file, or stands in one that it includes"
-            )
-            self.notes.append(left_out(key, reason))
+        elements = {name: element for name in changed if (element := self._body(name)) is not None}
+        if lacking := [name for name in changed if name not in elements]:
+            why = f"for '{lacking[0]}' has no name of its own in the file, or stands in one that it includes"
+            self.notes.append(left_out(key, why))
             return
-        for name, value in changed.items():
-            self.text.put(cast(_Element, self._body(name)), {"gravcomp": number(value)})
+        for name, element in elements.items():
+            self.text.put(element, {"gravcomp": number(changed[name])})
         wrong = ["changed masses"] * any(isinstance(part, BodyInertia) for _, part in self.system.arm.masses)
         if wrong := wrong + ["the tilt"] * bool(self.system.arm.tilts):
             words = f"holds the weight in MuJoCo with {' and '.join(wrong)}, which the robot's controller does not know"

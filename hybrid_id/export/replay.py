@@ -251,7 +251,7 @@ def _mujoco_replay(
         for hinge, (angle, speed) in state.items():
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
     joints = {model.joint(k).name for k in range(model.njnt)}
-    for hinge, angle in (system.tree.held if system.tree else {}).items():
+    for hinge, angle in exported.held.items():
         if hinge in joints:  # else a base, which stands as it is drawn
             data.joint(hinge).qpos[:] = angle
     motors = [model.actuator(name).id for name in exported.motors]

@@ -14,7 +14,7 @@ import torch
 from hybrid_id import __version__
 from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
-from hybrid_id.identification.keep import digest_of
+from hybrid_id.identification.keep import digest_of, digest_of_tree
 from hybrid_id.identification.optimizers import OptimizerState, QuasiNewtonState
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
@@ -30,9 +30,7 @@ def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> 
     for info in system.table:
         known.update(repr((info.name, info.spec)).encode())
     if tree is not None:
-        held_up = tree.believed and (tree.believed.bodies, tree.believed.gravity)
-        robot = tree.joints, tree.bodies, tree.gravity, tree.couplings, tree.points, tree.held, held_up
-        known.update(digest_of(robot).encode())
+        known.update(digest_of((digest_of_tree(tree), tree.points, tree.held)).encode())
     for batch in batches:
         known.update(repr((batch.names, batch.outputs)).encode())
         for channel in (batch.dt, batch.y, batch.weight, *batch.u.values()):

@@ -179,7 +179,7 @@ def _digest(digest: Any, value: Any) -> None:
     """Feed a value into a digest: arrays and systems by their content, dataclasses field by field."""
     if isinstance(value, System):
         *about, tree = _content(value)
-        more = None if tree is None else (_digest_of_tree(tree), tree.points, tree.source, tree.held)
+        more = None if tree is None else (digest_of_tree(tree), tree.points, tree.source, tree.held)
         _digest(digest, (*about, more))
     elif isinstance(value, Tensor):
         _digest(digest, value.detach().cpu().numpy())
@@ -199,7 +199,7 @@ def _digest(digest: Any, value: Any) -> None:
 
 
 @functools.lru_cache(maxsize=64)
-def _digest_of_tree(tree: RigidBodyTree) -> str:
+def digest_of_tree(tree: RigidBodyTree) -> str:
     """Digest of what equal trees share; a tree has thousands of numbers, and a search has one tree."""
-    held_up = tree.believed and (tree.believed.bodies, tree.believed.gravity)
+    held_up = tree.believed and digest_of_tree(tree.believed)
     return digest_of((tree.joints, tree.bodies, tree.gravity, tree.couplings, held_up))

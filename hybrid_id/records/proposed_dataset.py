@@ -72,7 +72,7 @@ def propose(
         pairs = [_first_alone(pairs, evidence)]
     for number, pair in enumerate(pairs, 1):
         choose_channels(pair, number, evidence)
-    _alike(evidence)
+    _share_units(evidence)
     if still := [log for log in logs if not any(np.ptp(log.columns[c.column]) for c in proposal.outputs)]:
         proposal = propose([log for log in logs if log not in still], joints, sheet)
         proposal.left += [(log.file.title, "no angle and no speed moves in it") for log in still]
@@ -100,12 +100,11 @@ def propose(
     return proposal
 
 
-def _alike(evidence: Evidence) -> None:
+def _share_units(evidence: Evidence) -> None:
     """Units that are sure at one joint are so at others whose columns are named alike and would have the same one."""
     proposal = evidence.proposal
-    known: dict[
-        tuple[object, ...], dict[str, str]
-    ] = {}  # of names that are alike: each sure unit, and its column
+    # of names that are alike: each sure unit, and its column
+    known: dict[tuple[object, ...], dict[str, str]] = {}
     for chosen in (*proposal.outputs, *proposal.inputs):
         for guess in chosen.guesses:
             if guess.about == f"unit of {chosen.name}" and guess.sure:

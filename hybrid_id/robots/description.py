@@ -251,9 +251,8 @@ def _ties(path: Path, mujoco: Any, model: Any) -> dict[str, Tie]:
             raise InputError(f"{path}: an equality constraint of a flex is not simulated; take it out.")
         # MuJoCo makes a URDF's <mimic> one
         word = "mimic" if path.suffix.lower() == ".urdf" else "equality"
-        first = (
-            ends[0] if kind == eq.mjEQ_JOINT else -1
-        )  # which the equality puts apart from where it is drawn
+        # it puts its first joint apart from where it is drawn
+        first = ends[0] if kind == eq.mjEQ_JOINT else -1
         tie(obj.mjOBJ_EQUALITY, int(i), word, joints, first, float(model.eq_data[i][0]))
     return found
 

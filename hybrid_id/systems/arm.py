@@ -305,11 +305,8 @@ class Arm:
         """Torque at each of the system's joints by which a controller holds the links' weight; none without one."""
         if not self.compensations or self.tree is None:
             return []
-        share, tree, still = (
-            p[self.compensations[0]].c_g,
-            self.tree.believed or self.tree,
-            [0.0] * len(angles),
-        )
+        share, tree = p[self.compensations[0]].c_g, self.tree.believed or self.tree
+        still = [0.0] * len(angles)
         if len(self.seats) == 1:
             load = self._resting(u)
             weights = [tree.opposing(self.seats[0], load, angles[0], 0.0)[1]]
