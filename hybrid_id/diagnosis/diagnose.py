@@ -455,7 +455,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         name = unsure[-1]
         rest = best_without(fits, found.base, chosen, name, found.steps) or found.base
         rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
-        found = replace(found, chosen=rest)
+        found = replace(found, chosen=rest, unsure=(*found.unsure, name))
     nothing = not found.chosen.effects and not graded.unknown and not varying
     identified = (
         check_identifiability(fits.dataset, system, signal_share=fits.signal_share) if nothing else None

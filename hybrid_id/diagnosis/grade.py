@@ -38,8 +38,8 @@ class RatedEffect:
         share: of the gap that it explains where it is added after those before it; None of one that is not selected.
         share_interval: 95 % interval of that; every draw of records chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
-        sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not; or joints of a
-            robot together have shown it.
+        sure: whether its share is above 0 in 97.5 % of draws of short blocks, which what helps by chance is not; of
+            records, where what remains is structural; or joints of a robot together have shown it.
         others: probability that it is one of those it is indistinguishable from, by the step that has compared them.
     """
 
@@ -151,7 +151,9 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         _nested(models, steps, structural, first.drawn(generator, records=records))
         for records in (True, False)
     )
-    chance = np.quantile(of_blocks, 0.025, axis=0)
+    coloured = structural > CRITERIA.coloured
+    # where structure is left, the errors of one record go together, and what helps one of them alone is chance, too
+    chance = np.quantile(draws if coloured else of_blocks, 0.025, axis=0)
     shares = {
         added_effect(b, a): ((a.error - b.error) / gap, _interval(draws[:, k]), bool(chance[k] > 0.0))
         for k, (a, b) in enumerate(pairwise(models))
@@ -163,7 +165,6 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     interval = _interval(draws[:, -1])
     # a remainder that other records could have made the smaller part says nothing of the catalogue
     surely = remainder >= CRITERIA.substantial and interval[0] >= explained
-    coloured = structural > CRITERIA.coloured
     beyond_floor = min(max(1.0 - floor / max(first.error, 1e-300), 0.0), 1.0)
     return Grade(_in_order(rated), remainder, interval, surely and coloured, gap, beyond_floor, coloured)
 
@@ -356,7 +357,8 @@ def last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel,
 def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     """Every effect that was tried, with the probability of the step that decides on it (:func:`last_words`).
 
-    Where something structural is left, none of the others is excluded by what is selected.
+    Where something structural is left, none of the others is excluded by what is selected. What was accepted and is not
+    sure enough to be asserted is no more probable than that asks.
     """
     chosen = set(found.chosen.effects)
     best: dict[Name, RatedEffect] = {}
@@ -389,8 +391,14 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
         for name, p in _beside(found).items()
         if "@".join(name) not in rivals and name not in found.refuted
     }
-    return [
+    rated = [
         c if c.selected else replace(c, probability=max(c.probability, others.get((c.name, c.where), 0.0)))
+        for c in rated
+    ]
+    return [
+        replace(c, probability=min(c.probability, CRITERIA.least_probability))
+        if (c.name, c.where) in found.unsure
+        else c
         for c in rated
     ]
 

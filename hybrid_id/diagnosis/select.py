@@ -55,6 +55,7 @@ class Selection:
         near: the search over short runs that this one, over whole records, has gone on from.
         horizon: how long free runs of its fits are.
         refuted: effects that were accepted and take nothing of what each record's own values leave.
+        unsure: effects that were accepted and are not sure enough to be asserted.
     """
 
     base: FittedModel
@@ -64,6 +65,7 @@ class Selection:
     own: PerRecord | None = None
     near: Selection | None = None
     refuted: tuple[Name, ...] = ()
+    unsure: tuple[Name, ...] = ()
     horizon: Horizon = WHOLE
 
     @property

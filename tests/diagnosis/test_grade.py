@@ -257,6 +257,22 @@ def test_an_interval_knows_that_records_differ_more_than_their_blocks() -> None:
     assert wide[1] - wide[0] > 0.1 > 2.0 * (narrow[1] - narrow[0])
 
 
+def test_what_some_records_gain_by_and_others_lose_by_is_asserted_beside_noise_alone() -> None:
+    base, spring = by_record([100.0] * 6), by_record([40.0, 50.0, 115.0, 120.0, 60.0, 110.0], SPRING)
+    tried = search((base, spring))
+    white, structural = (grade(NONE, tried, share) for share in (0.1, 0.5))
+    assert not doubtful(white)
+    assert doubtful(structural) == [SPRING]
+    interval = share_of(structural, SPRING).share_interval
+    assert interval is not None and interval[0] <= 0.0
+    # dropped, it is no more probable than what is asserted must be
+    dropped = grade(NONE, replace(tried, chosen=base, unsure=(SPRING,)), 0.5)
+    assert share_of(structural, SPRING).probability > 0.5 >= share_of(dropped, SPRING).probability
+    # every record gains: sure, however differently
+    every = search((base, by_record([40.0, 50.0, 80.0, 90.0, 60.0, 70.0], SPRING)))
+    assert not doubtful(grade(NONE, every, 0.5))
+
+
 ERRORS = st.lists(st.floats(1e-6, 1e6), min_size=6, max_size=6)
 
 
