@@ -146,7 +146,7 @@ def test_six_joints_stick_and_slip_alike_in_both_engines(tmp_path: Path) -> None
     if compiler() is None:
         pytest.skip("there is no C compiler")
     _, system = arm(tmp_path, friction=0.12)
-    plain, fast = (rollout(system, 6, Engine("dry", 1, compiled=c), 0.1) for c in (False, True))
+    plain, fast = (rollout(system, 6, Engine("dry", 1, compiled=c), 0.06) for c in (False, True))
     speeds = plain.x[0, :, 1::2].numpy()
     resting = (speeds == 0.0).mean(0)
     assert ((resting > 0.02) & (resting < 0.98)).sum() >= 4, "most joints stick at times and move at times"
