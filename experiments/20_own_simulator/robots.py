@@ -1,4 +1,4 @@
-"""Logs of four robots in a simulator of one's own: MuJoCo, with laws of this file's own that their descriptions lack.
+"""Logs of five robots in a simulator of one's own: MuJoCo, with laws of this file's own that their descriptions lack.
 
     robots.py FOLDER [--so101 FILE]
 
@@ -12,6 +12,8 @@ description that its owner has, which is wrong (`NAME.xml`).
   effect of the catalogue is.
 - `arm`: the six joints of SO-101's own MJCF, goals and angles in degrees; other gains, rotors, damping and dry
   friction, a payload, and load-dependent friction at two joints.
+- `cobot`: six joints, goals and angles in rad; other gains, damping and dry friction, and a controller that holds the
+  weight of all links, of which the description says nothing.
 """
 
 import csv
@@ -55,6 +57,46 @@ DESCRIBED = {
     "band": ONE_JOINT.format(step=0.0005, armature=0.02, damping=0.2, dry=0.1, load=0.2, actuator=MOTOR),
     "servo": ONE_JOINT.format(step=0.0005, armature=0.015, damping=0.05, dry=0.1, load=0.5, actuator=SERVO),
 }
+COBOT = """<mujoco model="cobot">
+  <compiler angle="radian"/>
+  <option timestep="0.0005" integrator="implicitfast"/>
+  <worldbody>
+    <body name="shoulder" pos="0 0 0.15">
+      <joint name="turn" axis="0 0 1" range="-3 3" armature="0.5" damping="5" frictionloss="2"/>
+      <inertial mass="3.6" pos="0 -0.02 0" diaginertia="0.01 0.01 0.01"/>
+      <body name="upper" pos="0 0.13 0">
+        <joint name="raise" axis="0 1 0" range="-2.5 2.5" armature="0.5" damping="5" frictionloss="2"/>
+        <inertial mass="7.9" pos="0 0 0.25" diaginertia="0.13 0.13 0.02"/>
+        <body name="fore" pos="0 -0.12 0.42">
+          <joint name="bend" axis="0 1 0" range="-2.8 2.8" armature="0.3" damping="3" frictionloss="1.5"/>
+          <inertial mass="2.4" pos="0 0 0.19" diaginertia="0.04 0.04 0.004"/>
+          <body name="first" pos="0 0 0.4">
+            <joint name="tip" axis="0 1 0" range="-3 3" armature="0.1" damping="1" frictionloss="0.5"/>
+            <inertial mass="1.3" pos="0 0.1 0" diaginertia="0.002 0.002 0.002"/>
+            <body name="second" pos="0 0.11 0">
+              <joint name="swing" axis="0 0 1" range="-3 3" armature="0.1" damping="1" frictionloss="0.5"/>
+              <inertial mass="1.2" pos="0 0 0.08" diaginertia="0.002 0.002 0.002"/>
+              <body name="flange" pos="0 0 0.1">
+                <joint name="roll" axis="0 1 0" range="-3 3" armature="0.1" damping="1" frictionloss="0.5"/>
+                <inertial mass="0.9" pos="0.01 0.12 0.03" diaginertia="0.002 0.001 0.002"/>
+              </body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="turn" joint="turn" kp="2500" kv="150"/>
+    <position name="raise" joint="raise" kp="2500" kv="150"/>
+    <position name="bend" joint="bend" kp="1800" kv="100"/>
+    <position name="tip" joint="tip" kp="600" kv="30"/>
+    <position name="swing" joint="swing" kp="600" kv="30"/>
+    <position name="roll" joint="roll" kp="600" kv="30"/>
+  </actuator>
+</mujoco>
+"""
+TURNS = ("turn", "raise", "bend", "tip", "swing", "roll")
 Rows = list[tuple[float, ...]]
 
 
@@ -194,6 +236,28 @@ def arm(file: Path, seed: int) -> Rows:
     return simulate(model, wanted, 0.02, act, read, settle=2.0)
 
 
+def cobot(seed: int) -> Rows:
+    """Six drives at 100 Hz whose controller holds the links' weight; encoders of 20 bits at the joints, 0.1 mrad of noise."""
+    model = mujoco.MjModel.from_xml_string(COBOT.replace("0.0005", "0.0002"))
+    model.opt.gravity[:] = 0.0  # nothing is left of the weight
+    scale = np.array([1.1, 0.9, 1.2, 0.85, 1.1, 0.95])
+    k_p, k_d = scale * model.actuator_gainprm[:, 0], -scale[::-1] * model.actuator_biasprm[:, 2]
+    model.actuator_biasprm[:], model.actuator_gainprm[:, 0] = 0, 1
+    model.dof_frictionloss[:] = [4.0, 5.0, 2.5, 0.8, 0.9, 0.4]
+    model.dof_solref[:], model.dof_solimp[:] = (0.001, 1.0), (0.99, 0.999, 0.001, 0.5, 2.0)
+    rng = np.random.default_rng(200 + seed)
+
+    def act(data: Any, goal: np.ndarray, seen: np.ndarray) -> None:
+        data.ctrl[:] = k_p * (goal - data.qpos) - k_d * data.qvel
+
+    def read(data: Any, goal: np.ndarray) -> tuple[float, ...]:
+        return (*goal, *(data.qpos + rng.normal(0, 1e-4, 6)))
+
+    t, home = 0.01 * np.arange(1000), np.array([0.0, 0.6, 1.1, -0.4, 0.3, 0.5])
+    waves = np.stack([multisine(t, rng, 0.35, 0.05, 0.5) for _ in home], axis=1)
+    return simulate(model, home + waves, 0.01, act, read, settle=2.0)
+
+
 def write(folder: Path, header: list[str], logs: list[Rows]) -> None:
     """One CSV file a log."""
     folder.mkdir(parents=True)
@@ -205,7 +269,7 @@ def write(folder: Path, header: list[str], logs: list[Rows]) -> None:
 
 
 def main(home: Path, file: Path) -> None:
-    """Write the logs of all three."""
+    """Write the logs of all five."""
     recorded = [
         ("multisine", 1),
         ("multisine", 2),
@@ -231,6 +295,15 @@ def main(home: Path, file: Path) -> None:
     for folder, seeds in (("arm", range(1, 7)), ("arm_unseen", range(21, 25))):
         write(home / folder, header, [arm(file, seed) for seed in seeds])
     shutil.copy(file, home / "arm.xml")
+    cobots(home)
+
+
+def cobots(home: Path) -> None:
+    """Write the logs of `cobot`, and what its owner has for it."""
+    header = ["time", *(f"cmd_{joint}" for joint in TURNS), *(f"pos_{joint}" for joint in TURNS)]
+    for folder, seeds in (("cobot", range(1, 6)), ("cobot_unseen", range(21, 25))):
+        write(home / folder, header, [cobot(seed) for seed in seeds])
+    (home / "cobot.xml").write_text(COBOT)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# From logs to MJCF, four robots, each command with its time: run.sh FOLDER SO101.xml. `hybrid-id` is on the path.
+# From logs to MJCF, five robots, each command with its time: run.sh FOLDER SO101.xml. `hybrid-id` is on the path.
 set -u
 here=$(cd "$(dirname "$0")" && pwd)
 so101=$(realpath "$2")
@@ -9,7 +9,7 @@ step() { echo; echo "\$ $*"; time "$@"; }
 
 [ -d arm ] || python "$here/robots.py" . --so101 "$so101"
 [ -f sheet.yaml ] || printf 'gear_ratio: 50\ntorque_constant: 0.03\nresistance: 2.0\nvoltage: 24\n' > sheet.yaml
-for robot in ${ROBOTS:-lift servo band arm}; do
+for robot in ${ROBOTS:-lift servo band arm cobot}; do
   sheet=(); [ $robot = lift ] && sheet=(--motor sheet.yaml)
   step hybrid-id init $robot --robot $robot.xml "${sheet[@]}" --force
   step hybrid-id check $robot

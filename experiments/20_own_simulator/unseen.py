@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
-from robots import JOINTS  # isort: skip
+from robots import JOINTS, TURNS  # isort: skip
 
 mujoco: Any = import_module("mujoco")  # has no types
 READ = {  # the logs' columns -> time [s], commands, angles [rad]
@@ -23,6 +23,7 @@ READ = {  # the logs' columns -> time [s], commands, angles [rad]
     "band": lambda a: (a[:, 0], a[:, 1:2], a[:, 2:3]),
     "servo": lambda a: (a[:, 0], a[:, 1:2], (a[:, 2:3] - 2048) * 2 * np.pi / 4096),
     "arm": lambda a: (a[:, 0], np.radians(a[:, 7:13]), np.radians(a[:, 1:7])),
+    "cobot": lambda a: (a[:, 0], a[:, 1:7], a[:, 7:13]),
 }
 
 
@@ -51,7 +52,7 @@ def ratio(before: ArrayLike, after: ArrayLike) -> str:
 
 def main(robot: str, logs: Path, files: list[str]) -> None:
     """A row a file, then the ratio of the last two."""
-    names, rows = list(JOINTS) if robot == "arm" else ["elbow"], []
+    names, rows = list({"arm": JOINTS, "cobot": TURNS}.get(robot, ("elbow",))), []
     for file in files:
         model, errors = mujoco.MjModel.from_xml_path(file), []
         for log in sorted(logs.glob("*.csv")):

@@ -346,21 +346,21 @@ class Arm:
         """Channels with what a joint by itself carries by the description, from the motion of the others.
 
         They are the rows of :attr:`hybrid_id.robots.tree.Carried.groups`, so that no equation needs the tree: those
-        that this system reads, and of the joints at the ends of the tree, where a payload may be tried.
+        that this system reads, and what may be tried: payloads of the joints at the ends of the tree, and a controller
+        that holds the weight.
         """
         if self.tree is None or not self.channels or len(self.seats) > 1:
             return dict(u)
         like, inner = next(iter(u.values())), {f"link{joint.parent + 1}" for joint in self.tree.joints}
         found = {
             f"{group}{LOAD}{k}": torch.as_tensor(row, dtype=like.dtype, device=like.device).expand_as(like)
-            for group, rows in (self._carried(self.tree, u).groups | self._weights(u)).items()
+            for group, rows in (
+                self._carried(self.tree, u).groups | {WEIGHT: self._resting(u).groups["load"]}
+            ).items()
             if group not in inner or group in self._groups
             for k, row in enumerate(rows)
         }
         return {**u, **found}
-
-    def _weights(self, u: Mapping[str, Tensor]) -> dict[str, list[Tensor | float]]:
-        return {WEIGHT: self._resting(u).groups["load"]} if self.compensations else {}
 
     def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor]) -> Carried:
         """What a joint by itself carries by the description."""

@@ -123,8 +123,8 @@ def some(system: System, joints: Sequence[int]) -> System:
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
     views = system.views([value.reshape(1) for value in system.theta().detach()])
     bodies = system.arm.bodies(views)
-    if system.arm.compensations:  # by a controller that knows no payload and no tilt
-        tree = replace(tree, believed=tree.believed or tree)
+    # of a controller that may hold the links' weight, and knows no payload and no tilt
+    tree = replace(tree, believed=tree.believed or tree)
     tree = tree.with_bodies([body.held() for key, body in bodies.items() if not key.startswith(here)])
     if not any(key.startswith(here) for key, _ in system.arm.tilts):
         tree = tree.falling(system.arm.gravity(views))

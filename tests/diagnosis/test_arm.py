@@ -254,14 +254,15 @@ def test_what_servos_and_descriptions_get_wrong_is_named(nominal: System, effect
         ("base_tilt", BaseTilt(e_x=0.15, e_y=-0.1)),
         ("cable_pull", REGISTRY["cable"](k_c=3.0, q_c=0.2)),
         ("floor_contact", FloorContact("elbow_link", z_f=-0.28, k_f=400.0)),
+        ("gravity_compensation", REGISTRY["gravity_compensation"]()),
     ],
 )
-def test_a_tilted_base_a_taut_cable_and_a_floor_are_named_among_loads(
+def test_what_loads_an_arm_beside_its_links_is_named_among_loads(
     nominal: System, effect: str, part: Component
 ) -> None:
     dataset = records_of(nominal.with_component("joint2/load", part))
     loads = "base_tilt", "cable_pull", "constant_torque", "floor_contact", "link_mass", "spring_load"
-    with only(*loads, "encoder_zero"):
+    with only(*loads, "encoder_zero", "gravity_compensation"):
         found = diagnose_arm(dataset, nominal, joints=["lift"], max_effects=1)
     (best,) = found.selected
     assert effect in {best.name, *(tie.split("@")[0] for tie in best.tied_with)} and best.probability > 0.3

@@ -1,7 +1,10 @@
 """A controller that holds the weight of a robot's links."""
 
-from hybrid_id.components.base import Shared
+from hybrid_id.components.base import Effect, Shared
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
+
+POSTURES = "rests in many postures: held weight differs from posture to posture, a {} does not"
 
 
 class GravityCompensation(Shared):
@@ -24,3 +27,22 @@ class GravityCompensation(Shared):
 
     kind = "gravity_compensation"
     c_g = Parameter(1.0, lower=0.0, upper=2.0, unit="1", doc="share of the links' weight that is held")
+    effect = Effect(
+        "gravity_compensation",
+        "controller that holds the weight of the links beside what is commanded, as most collaborative robots do; "
+        "usually all of it",
+        "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
+        {
+            "link_mass": "fast motion: what is held still has its inertia, a lighter link has less of both",
+            "base_tilt": "rests in many postures: a tilt turns the load of each joint, a controller takes it away",
+            "constant_torque": POSTURES.format("bias"),
+            "encoder_zero": POSTURES.format("wrong zero"),
+            "spring_load": "one joint at rest in many postures of the others: held weight differs from one to the next, "
+            "a spring's torque does not",
+        },
+    )
+
+    @staticmethod
+    def starts(site):
+        # most of the weight: a little less is what wrong masses look like
+        return [{"c_g": free(1.0, 0.5, 1.2)}] if site.bodies else []
