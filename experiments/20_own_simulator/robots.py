@@ -237,7 +237,7 @@ def arm(file: Path, seed: int) -> Rows:
 
 
 def cobot(seed: int) -> Rows:
-    """Six drives at 100 Hz whose controller holds the links' weight; encoders of 20 bits at the joints, 0.1 mrad of noise."""
+    """Six drives at 100 Hz whose controller holds the links' weight; angles with 0.1 mrad of noise."""
     model = mujoco.MjModel.from_xml_string(COBOT.replace("0.0005", "0.0002"))
     model.opt.gravity[:] = 0.0  # nothing is left of the weight
     scale = np.array([1.1, 0.9, 1.2, 0.85, 1.1, 0.95])

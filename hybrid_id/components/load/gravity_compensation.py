@@ -37,8 +37,8 @@ class GravityCompensation(Shared):
             "base_tilt": "rests in many postures: a tilt turns the load of each joint, a controller takes it away",
             "constant_torque": POSTURES.format("bias"),
             "encoder_zero": POSTURES.format("wrong zero"),
-            "spring_load": "one joint at rest in many postures of the others: held weight differs from one to the next, "
-            "a spring's torque does not",
+            "spring_load": "one joint at rest in many postures of the others: held weight differs from one to the "
+            "next, a spring's torque does not",
         },
     )
 
