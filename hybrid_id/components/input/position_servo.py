@@ -38,7 +38,7 @@ class PositionServo(ServoLoop):
     at_joint = True
     k_p = Parameter(10.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness of the position loop")
     k_d = Parameter(0.0, upper=1e5, unit="N m s/rad", doc="damping of the position loop", estimate=False)
-    tau_max = Parameter(1e3, lower=1e-6, upper=1e6, unit="N m", doc="largest torque", estimate=False)
+    tau_max = Parameter(1e6, lower=1e-6, upper=1e6, unit="N m", doc="largest torque", estimate=False)
     e_0 = Parameter(0.0, upper=1.0, unit="rad", doc="dead band of the error", estimate=False)
     goal_min = Parameter(-1e4, lower=-1e5, upper=1e5, unit="rad", doc="least goal", estimate=False)
     goal_max = Parameter(1e4, lower=-1e5, upper=1e5, unit="rad", doc="largest goal", estimate=False)
