@@ -62,7 +62,7 @@ COBOT = """<mujoco model="cobot">
   <option timestep="0.0005" integrator="implicitfast"/>
   <worldbody>
     <body name="shoulder" pos="0 0 0.15">
-      <joint name="turn" axis="0 0 1" range="-3 3" armature="0.5" damping="5" frictionloss="2"/>
+      <joint name="pan" axis="0 0 1" range="-3 3" armature="0.5" damping="5" frictionloss="2"/>
       <inertial mass="3.6" pos="0 -0.02 0" diaginertia="0.01 0.01 0.01"/>
       <body name="upper" pos="0 0.13 0">
         <joint name="raise" axis="0 1 0" range="-2.5 2.5" armature="0.5" damping="5" frictionloss="2"/>
@@ -87,7 +87,7 @@ COBOT = """<mujoco model="cobot">
     </body>
   </worldbody>
   <actuator>
-    <position name="turn" joint="turn" kp="2500" kv="150"/>
+    <position name="pan" joint="pan" kp="2500" kv="150"/>
     <position name="raise" joint="raise" kp="2500" kv="150"/>
     <position name="bend" joint="bend" kp="1800" kv="100"/>
     <position name="tip" joint="tip" kp="600" kv="30"/>
@@ -96,7 +96,7 @@ COBOT = """<mujoco model="cobot">
   </actuator>
 </mujoco>
 """
-TURNS = ("turn", "raise", "bend", "tip", "swing", "roll")
+COBOT_JOINTS = ("pan", "raise", "bend", "tip", "swing", "roll")
 Rows = list[tuple[float, ...]]
 
 
@@ -300,7 +300,11 @@ def main(home: Path, file: Path) -> None:
 
 def cobots(home: Path) -> None:
     """Write the logs of `cobot`, and what its owner has for it."""
-    header = ["time", *(f"cmd_{joint}" for joint in TURNS), *(f"pos_{joint}" for joint in TURNS)]
+    header = [
+        "time",
+        *(f"cmd_{joint}" for joint in COBOT_JOINTS),
+        *(f"pos_{joint}" for joint in COBOT_JOINTS),
+    ]
     for folder, seeds in (("cobot", range(1, 6)), ("cobot_unseen", range(21, 25))):
         write(home / folder, header, [cobot(seed) for seed in seeds])
     (home / "cobot.xml").write_text(COBOT)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
-from robots import JOINTS, TURNS  # isort: skip
+from robots import JOINTS, COBOT_JOINTS  # isort: skip
 
 mujoco: Any = import_module("mujoco")  # has no types
 READ = {  # the logs' columns -> time [s], commands, angles [rad]
@@ -52,7 +52,7 @@ def ratio(before: ArrayLike, after: ArrayLike) -> str:
 
 def main(robot: str, logs: Path, files: list[str]) -> None:
     """A row a file, then the ratio of the last two."""
-    names, rows = list({"arm": JOINTS, "cobot": TURNS}.get(robot, ("elbow",))), []
+    names, rows = list({"arm": JOINTS, "cobot": COBOT_JOINTS}.get(robot, ("elbow",))), []
     for file in files:
         model, errors = mujoco.MjModel.from_xml_path(file), []
         for log in sorted(logs.glob("*.csv")):

@@ -268,14 +268,9 @@ def read_name(name: str, joints: Sequence[str] = (), others: Collection[str] = (
     words = tokens(name)
     joint, words = _joint_in(words, joints)
     found = set(words)
-    unit = next(
-        (
-            unit
-            for pattern, unit in UNITS
-            if re.search(pattern, f"{name.lower()}\n{_spaced(name)}", re.MULTILINE)
-        ),
-        "",
-    )
+    rest = re.sub(re.escape(joint), " ", name, count=1, flags=re.IGNORECASE)  # a joint may be called 'turn'
+    text = f"{rest.lower()}\n{_spaced(rest)}"
+    unit = next((unit for pattern, unit in UNITS if re.search(pattern, text, re.MULTILINE)), "")
     kind = next((kind for kind, some in KINDS.items() if found & some), "")
     bare = not kind and "v" in found
     if not kind and found & GOALS:

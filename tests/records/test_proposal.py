@@ -37,6 +37,13 @@ def test_unit_of_time_by_step_and_span(factor: float, unit: str) -> None:
     assert (guess.value, guess.sure) == (unit, True)
 
 
+def test_a_joints_name_is_no_unit() -> None:
+    joints = "turn", "bend"
+    assert read_name("pos_turn", joints).unit == ""
+    assert read_name("pos_turn_deg", joints).unit == "deg"
+    assert read_name("position_turns").unit == "rev"
+
+
 @pytest.mark.parametrize(
     ("name", "kind", "command", "unit", "joint"),
     [
