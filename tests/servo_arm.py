@@ -26,7 +26,6 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/>
 </body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1"/>
 <position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
-JOINTS = (1, 2, 3)
 
 
 def described(folder: Path) -> System:
@@ -38,22 +37,23 @@ def described(folder: Path) -> System:
 def records_of(system: System, count: int = 4) -> Dataset:
     """Goals and the motor angles that a system answers with, the last record a test record."""
     rng, time, records = np.random.default_rng(5), STEP * np.arange(300), []
+    joints = range(1, len(system.joints) + 1)
     for k in range(count):
         inputs = {
             f"goal{j}": 0.4
             * sum(np.sin(2 * np.pi * f * time + rng.uniform(0, 6.28)) for f in (0.4, 0.9, 1.7))
             * np.minimum(time / 0.3, 1.0)
-            for j in JOINTS
+            for j in joints
         }
-        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in JOINTS})
-        batch = make_batch(system, [blank], noise_std={f"q_m{j}": 1e-6 for j in JOINTS})
+        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in joints})
+        batch = make_batch(system, [blank], noise_std={f"q_m{j}": 1e-6 for j in joints})
         angles = simulate(system, Engine("dry", 4, compiled=True), batch).y[0].numpy()
         angles = angles + NOISE * rng.standard_normal(angles.shape)
-        outputs = {f"q_m{j}": angles[:, j - 1] for j in JOINTS}
+        outputs = {f"q_m{j}": angles[:, j - 1] for j in joints}
         records.append(Record(blank.name, time, inputs, outputs, "train" if k < count - 1 else "test"))
-    goals = tuple(Channel(f"goal{j}", "rad") for j in JOINTS)
+    goals = tuple(Channel(f"goal{j}", "rad") for j in joints)
     return Dataset(
-        "arm", goals, tuple(Channel(f"q_m{j}", "rad", NOISE) for j in JOINTS), tuple(records), STEP
+        "arm", goals, tuple(Channel(f"q_m{j}", "rad", NOISE) for j in joints), tuple(records), STEP
     )
 
 

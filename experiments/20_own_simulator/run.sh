@@ -7,7 +7,7 @@ mkdir -p "$1" && cd "$1" || exit 2
 TIMEFORMAT='[%U s of processor time, %R s of wall time]'
 step() { echo; echo "\$ $*"; time "$@"; }
 
-[ -d arm ] || python "$here/robots.py" . --so101 "$so101"
+[ -d cobot ] || python "$here/robots.py" . --so101 "$so101"
 [ -f sheet.yaml ] || printf 'gear_ratio: 50\ntorque_constant: 0.03\nresistance: 2.0\nvoltage: 24\n' > sheet.yaml
 for robot in ${ROBOTS:-lift servo band arm cobot}; do
   sheet=(); [ $robot = lift ] && sheet=(--motor sheet.yaml)

@@ -25,6 +25,7 @@ from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink, u
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import RatedEffect, tied_sets
 from hybrid_id.diagnosis.own_values import borne_out
+from hybrid_id.diagnosis.plausibility import within_reach
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
@@ -302,6 +303,7 @@ def diagnose_arm(
         InputError: no joint can be diagnosed, or there is none of a name; and see :func:`hybrid_id.diagnose`.
         KeyboardInterrupt: stopped before the first joint's search has found anything, or before its report.
     """
+    system = within_reach(system)
     dataset, skews = _at_one_time(dataset, system)
     names, skipped = _to_diagnose(dataset, system, joints)
     found: dict[str, tuple[Measured, Answer]] = {}

@@ -9,7 +9,7 @@ from functools import partial
 from typing import cast
 
 from hybrid_id.components import CATALOGUE
-from hybrid_id.components.base import Component, Effect, Shared, Values
+from hybrid_id.components.base import Attached, Component, Effect, Shared, Values
 from hybrid_id.components.site import Scales, Searches, Site
 from hybrid_id.diagnosis.periodic import Residual, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.errors import InputError
@@ -51,10 +51,16 @@ def with_effect(
             continue
         starts = [(law, values) for law in effect.laws for values in law.starts(site)]
         starts = [one for one in starts if not _listed_elsewhere(system, joint.name, *one)]
+        if joint is not system.joints[0]:  # what sits nowhere in particular is the same at any joint
+            starts = [(law, values) for law, values in starts if not _everywhere(law)]
         built = [_model(system, f"{joint.name}/{place}", law, values) for law, values in starts]
         if kept := [model for model in built if model is not None]:
             found[f"{joint.name}/{place}"] = kept
     return found
+
+
+def _everywhere(law: type[Component]) -> bool:
+    return issubclass(law, Shared) and not issubclass(law, Attached)
 
 
 def _listed_elsewhere(system: System, joint: str, law: type[Component], values: Values) -> bool:

@@ -33,7 +33,7 @@ from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import Experiment, next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
-from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable
+from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable, within_reach
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.screen import (
     Progress,
@@ -131,6 +131,7 @@ def answered(
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
     say("nominal model", 0, 1)
+    system = within_reach(system)
     measured = measure(dataset, system, horizon=horizon, jobs=jobs, signal_share=signal_share, kept=kept)
     fits, found = search(
         measured.fits,
@@ -479,7 +480,8 @@ def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: i
 
     But for what the robot has chosen instead.
     """
-    again = freeze(answer.fits, searched, system, seed=seed)
+    unsure = tuple(name for name in answer.found.unsure if name not in searched.chosen.effects)
+    again = freeze(answer.fits, replace(searched, unsure=unsure), system, seed=seed)
     chosen = [_in_words(name) for name in again.found.chosen.effects]
     words = {**answer.rejected, **again.rejected}
     return replace(again, rejected={one: record for one, record in words.items() if one not in chosen})

@@ -395,12 +395,19 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
         c if c.selected else replace(c, probability=max(c.probability, others.get((c.name, c.where), 0.0)))
         for c in rated
     ]
+    unsure = {"@".join(name) for name in found.unsure}
     return [
-        replace(c, probability=min(c.probability, CRITERIA.least_probability))
-        if (c.name, c.where) in found.unsure
-        else c
+        _no_surer(c) if not c.selected and unsure & {f"{c.name}@{c.where}", *c.tied_with} else c
         for c in rated
     ]
+
+
+def _no_surer(one: RatedEffect) -> RatedEffect:
+    """The same with all that it is tied with no more probable together than what is asserted has to be."""
+    probability = min(one.probability, CRITERIA.least_probability)
+    return replace(
+        one, probability=probability, others=min(one.others, CRITERIA.least_probability - probability)
+    )
 
 
 def _beside(found: Selection) -> dict[Name, float]:

@@ -23,6 +23,8 @@ TO_ZERO = -3.0
 """Logarithm of a change that leaves nothing of a parameter."""
 LATE = 0.008
 """Shift of a goal in time [s] from which it is said: less is within a cycle of a position loop of 125 Hz."""
+REACH = 10.0
+"""Ratio of what turns a command into torque to its nominal value, and the inverse, within which a search stays."""
 NUISANCE = 0.3
 """Share of its value by which a parameter without a prior may well be off."""
 
@@ -63,6 +65,31 @@ def implausible_parameters(
             late = as_late(fitted, nominal.parameter(name), own)
             words.append(f"{who} is {math.exp(own):.2f} times its nominal value{late}{excuse}")
     return words
+
+
+def within_reach(system: System) -> System:
+    """The model, whose command makes no torque that is far from the nominal one's, whatever a fit asks for.
+
+    Where no torque is known, stiffness of a loop, friction and inertia may all be multiplied by one number: a large one
+    makes links weightless, and hides whatever else there is.
+    """
+
+    def limited(info: ParameterInfo) -> bool:
+        spec, place = info.spec, info.component.split("/")[1]
+        gain = place in ("input", "motor") and "/" in spec.unit and torque_power(spec.unit) > 0
+        return gain and spec.estimate and spec.prior_std is None and spec.value > 0.0
+
+    return system.with_specs(
+        {
+            info.name: replace(
+                info.spec,
+                lower=max(info.spec.lower, info.spec.value / REACH),
+                upper=min(info.spec.upper, info.spec.value * REACH),
+            )
+            for info in system.table
+            if limited(info)
+        }
+    )
 
 
 def named(info: ParameterInfo) -> str:

@@ -268,6 +268,24 @@ def test_what_loads_an_arm_beside_its_links_is_named_among_loads(
     assert effect in {best.name, *(tie.split("@")[0] for tie in best.tied_with)} and best.probability > 0.3
 
 
+ONE = """<mujoco><compiler angle="radian"/><worldbody><body name="upper">
+<joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
+<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
+</body></worldbody><actuator><position joint="lift" kp="8"/></actuator></mujoco>"""
+
+
+def test_no_fit_makes_a_link_weightless_by_huge_torques_where_its_weight_is_held(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ONE)
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.xml}\n")
+    system = load_model(tmp_path / "model.yaml")
+    held = system.with_component("joint1/load", REGISTRY["gravity_compensation"]())
+    with only("gravity_compensation", "constant_torque", "spring_load", "link_mass", "encoder_zero"):
+        found = diagnose(records_of(held), system, max_effects=1)
+    (best,) = found.selected
+    assert best.name == "gravity_compensation" and best.probability > 0.9
+    assert best.parameters["c_g"][0] == pytest.approx(1.0, abs=0.05)
+
+
 def test_an_arm_on_a_wall_is_told_from_one_on_a_table(nominal: System) -> None:
     dataset = records_of(nominal.with_component("joint2/load", BaseTilt(e_y=0.5 * np.pi)))
     with only("base_tilt", "constant_torque", "link_mass"):

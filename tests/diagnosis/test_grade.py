@@ -268,6 +268,9 @@ def test_what_some_records_gain_by_and_others_lose_by_is_asserted_beside_noise_a
     # dropped, it is no more probable than what is asserted must be
     dropped = grade(NONE, replace(tried, chosen=base, unsure=(SPRING,)), 0.5)
     assert share_of(structural, SPRING).probability > 0.5 >= share_of(dropped, SPRING).probability
+    rival = by_record([41.0, 51.0, 114.0, 121.0, 60.0, 109.0], WEIGHT)
+    both = grade(NONE, replace(search((base, spring, rival)), chosen=base, unsure=(SPRING,)), 0.5)
+    assert all(one.together <= 0.5 for one in both.effects)
     # every record gains: sure, however differently
     every = search((base, by_record([40.0, 50.0, 80.0, 90.0, 60.0, 70.0], SPRING)))
     assert not doubtful(grade(NONE, every, 0.5))

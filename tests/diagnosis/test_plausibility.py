@@ -6,7 +6,12 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import JointFlexibility
-from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable, torque_power
+from hybrid_id.diagnosis.plausibility import (
+    implausible_parameters,
+    not_identifiable,
+    torque_power,
+    within_reach,
+)
 from hybrid_id.identification.fit import fit
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.statistics.identifiability import identifiability
@@ -34,6 +39,18 @@ def test_a_common_scale_of_torques_is_no_change() -> None:
     names = [info.name for info in soft.table if info.spec.estimate]
     factors = {name: {"P_m2": 1.0, "zeta": 1.0, "compliance": 1 / 1.7}.get(name, 1.7) for name in names}
     assert moved(soft, **factors) == []
+
+
+def test_what_turns_a_command_into_torque_stays_within_reach() -> None:
+    known = replace(NOMINAL.parameter("P_m1").spec, prior_mean=None, prior_std=None, estimate=True)
+    system = NOMINAL.with_specs({"P_m1": known})
+    near = within_reach(system)
+    spec = near.parameter("P_m1").spec
+    assert (spec.lower, spec.upper) == pytest.approx((known.value / 10.0, known.value * 10.0))
+    others = {info.name: info.spec for info in system.table if info.name != "P_m1"}
+    assert {info.name: info.spec for info in near.table if info.name != "P_m1"} == others
+    prior = replace(known, prior_mean=known.value, prior_std=0.1 * known.value)
+    assert within_reach(NOMINAL.with_specs({"P_m1": prior})).parameter("P_m1").spec == prior
 
 
 def test_what_has_moved_is_named_with_its_factor() -> None:

@@ -18,7 +18,7 @@ class GravityCompensation(Shared):
 
     Payloads, wrong masses and a tilted base are not compensated: the controller does not know them. The torque comes
     from the motor, so that the gear passes the whole weight, and load-dependent friction feels it. It does not count
-    towards limits of torque, and stays where motors are switched off.
+    towards limits of torque, and stays where motors are switched off. Outputs ``tau`` and ``i`` are without it.
 
     Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 14.4 (PD control with
     gravity compensation). Differs from MuJoCo's ``gravcomp``, whose force acts at the bodies, where a gear gives way or
@@ -44,5 +44,6 @@ class GravityCompensation(Shared):
 
     @staticmethod
     def starts(site):
-        # most of the weight: a little less is what wrong masses look like
-        return [{"c_g": free(1.0, 0.5, 1.2)}] if site.bodies else []
+        # most of the weight: a little less is what wrong masses look like; the model's own torque leaves it out
+        known = {"tau", "i"} & set(site.measured)
+        return [{"c_g": free(1.0, 0.5, 1.2)}] if site.bodies and not known else []
