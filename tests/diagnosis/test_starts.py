@@ -59,7 +59,8 @@ def offered() -> tuple[System, Scales]:
 
 NOT_OFFERED = (
     "coulomb_friction", "viscous_friction", "hardening_flexibility", "joint_coupling",
-    "encoder_zero", "goal_rate_limit", "link_mass", "base_tilt", "cable_pull", "floor_contact",  # of servos and robots
+    "encoder_zero", "goal_rate_limit", "link_mass", "base_tilt", "cable_pull", "floor_contact",
+    "gravity_compensation",  # of servos and robots
 )  # fmt: skip
 
 
