@@ -335,10 +335,21 @@ class _Edit(Drives):
         """The element of a body by its name, or of the body around a site of that name."""
         named = [e for e in self.text.elements if "worldbody" in e.above and e.values.get("name") == point]
         found = next((e for tag in ("site", "body") for e in named if e.tag == tag), None)
-        if found is None or found.tag == "body":
+        if found is None:
+            return self._unnamed(point)
+        if found.tag == "body":
             return found
         around = [e for e in self.text.elements if e.tag == "body" and e.start < found.start < e.end]
         return max(around, key=lambda e: e.start, default=None)
+
+    def _unnamed(self, point: str) -> _Element | None:
+        """The element of a body that is called by its number, where all bodies stand in this file, in their order."""
+        bodies = [e for e in self.text.elements if e.tag == "body" and "worldbody" in e.above]
+        if len(bodies) != self.model.nbody - 1:
+            return None
+        called = {f"body{b}": e for b, e in enumerate(sorted(bodies, key=lambda e: e.start), 1)}
+        found = called.get(point.rstrip("_"))
+        return None if found is None or "name" in found.values else found
 
     def _add_payload(self, element: _Element, part: Payload, p: SimpleNamespace) -> None:
         mass, centre = part.mass(p)

@@ -117,10 +117,14 @@ def test_what_mujocos_gravcomp_knows_and_the_controller_does_not_is_said(tmp_pat
     )  # a body of its own, which nothing holds
     assert "with the tilt, which" in notes(("joint3/load", BaseTilt(e_x=0.2)))[0]
     assert "with changed masses, which" in notes(("joint3/load", BodyInertia("elbow_link", c_m=1.5)))[0]
+
+
+def test_a_body_without_a_name_is_found_by_its_place(tmp_path: Path) -> None:
     unnamed = HELD_UP.replace('<body name="upper" ', "<body ")
-    system = described(tmp_path, unnamed).with_values({"c_g_pan": 0.5})
-    exported = to_mjcf(system)
-    assert "is left out, for 'body" in exported.notes[0] and 'gravcomp="1"' in exported.text  # all or none
+    exported = to_mjcf(described(tmp_path, unnamed).with_values({"c_g_pan": 0.5}))
+    model = mujoco.MjModel.from_xml_string(exported.text)
+    assert model.body_gravcomp[1:].tolist() == pytest.approx([0.0, 0.3, 0.5])
+    assert not any("left out" in note for note in exported.notes)
 
 
 def test_a_joint_by_itself_is_held_up_as_in_the_robot(tmp_path: Path) -> None:
