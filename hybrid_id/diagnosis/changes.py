@@ -31,6 +31,8 @@ from hybrid_id.systems.chain import System
 
 NOMINAL = 0.02
 """Standard deviation of a relative change that counts as none: no nominal value is known better."""
+MOST = math.log(10.0)
+"""Size of a physical change (logarithm) that is none: no wear, grease or load changes a value tenfold."""
 LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
 HALF_WIDTH = 1.96
@@ -329,10 +331,10 @@ def _coherent(solution: _Solution) -> bool:
 
 
 def _makes_sense(solution: _Solution) -> bool:
-    """Whether the leading size is surely not zero, and what must move together does not surely move apart."""
+    """Whether the leading size is surely not zero and no tenfold, and what must move together does not move apart."""
     sizes, errors = solution.sizes, HALF_WIDTH * solution.errors
     lead = solution.hypothesis.lead
-    if not abs(sizes[lead]) > errors[lead]:
+    if not errors[lead] < abs(sizes[lead]) < MOST:
         return False
     ways = np.sign(sizes) * (np.abs(sizes) > errors)
     return not solution.hypothesis.together or not (np.any(ways > 0) and np.any(ways < 0))

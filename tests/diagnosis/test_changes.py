@@ -239,6 +239,12 @@ def test_friction_that_rises_dry_and_falls_viscous_has_changed() -> None:
     assert "Coulomb level F_c +4" in found.words or "Coulomb level F_c +3" in found.words
 
 
+@pytest.mark.parametrize(("factor", "named"), [(8.0, True), (20.0, False)])
+def test_no_wear_makes_friction_twentyfold(factor: float, named: bool) -> None:
+    found = find_change(TILTED, pretended(TILTED, changed(TILTED, F_c=factor, F_v=factor)))
+    assert ("temperature, grease or wear" in found.words) == named
+
+
 def test_a_parameter_that_was_driven_to_its_bound_gets_no_absurd_figure() -> None:
     assert [_change_words(size) for size in (250.0, -250.0)] == ["more than tenfold", "to less than a tenth"]
     assert _change_words(np.log(1.3)) == "+30 %"
