@@ -44,15 +44,15 @@ def with_effect(
     if joint.rigid:  # where the nominal model has its friction, else the first
         beyond = "link_friction" in places and joint.frictions["link_friction"]
         places = ("link_friction",) if beyond and not joint.frictions["motor_friction"] else places[:1]
+    # what sits nowhere in particular is the same at any joint
+    laws = [law for law in effect.laws if joint is system.joints[0] or not _everywhere(law)]
     found: dict[str, list[System]] = {}
     for place in places:
         site = _site(system, scales, place, left)
         if site.has(*effect.kinds) and not effect.where_held:
             continue
-        starts = [(law, values) for law in effect.laws for values in law.starts(site)]
+        starts = [(law, values) for law in laws for values in law.starts(site)]
         starts = [one for one in starts if not _listed_elsewhere(system, joint.name, *one)]
-        if joint is not system.joints[0]:  # what sits nowhere in particular is the same at any joint
-            starts = [(law, values) for law, values in starts if not _everywhere(law)]
         built = [_model(system, f"{joint.name}/{place}", law, values) for law, values in starts]
         if kept := [model for model in built if model is not None]:
             found[f"{joint.name}/{place}"] = kept
@@ -60,6 +60,7 @@ def with_effect(
 
 
 def _everywhere(law: type[Component]) -> bool:
+    """Whether a law acts on all joints and sits at no point of the robot."""
     return issubclass(law, Shared) and not issubclass(law, Attached)
 
 

@@ -146,14 +146,14 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         first.error - floor, last.error - floor, last.error - first.error, 1e-12 * max(first.error, 1e-300)
     )
     generator = np.random.default_rng(seed)
+
+    def drawn(*, records: bool) -> np.ndarray:
+        return _nested(models, steps, structural, first.drawn(generator, records=records))
+
     # what a model leaves differs more from record to record than within one: blocks would make shares too sure
-    draws, of_blocks = (
-        _nested(models, steps, structural, first.drawn(generator, records=records))
-        for records in (True, False)
-    )
-    coloured = structural > CRITERIA.coloured
+    draws, coloured = drawn(records=True), structural > CRITERIA.coloured
     # where structure is left, the errors of one record go together, and what helps one of them alone is chance, too
-    chance = np.quantile(draws if coloured else of_blocks, 0.025, axis=0)
+    chance = np.quantile(draws if coloured else drawn(records=False), 0.025, axis=0)
     shares = {
         added_effect(b, a): ((a.error - b.error) / gap, _interval(draws[:, k]), bool(chance[k] > 0.0))
         for k, (a, b) in enumerate(pairwise(models))
