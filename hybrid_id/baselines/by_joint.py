@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.by_joint import (
-    alone,
-    joint_number,
+    joint_parts,
     joints_to_diagnose,
     named,
+    some,
     with_drive,
     with_others_measured,
 )
@@ -48,8 +48,10 @@ def parts_of(dataset: Dataset, system: System) -> list[Part]:
     names, skipped = joints_to_diagnose(dataset, system)
     if not names:
         raise InputError(f"No joint can be taken by itself ({'; '.join(skipped.values())}).")
-    numbers = {name: joint_number(system, name) for name in names}
-    return [Part(with_others_measured(dataset, system, k), alone(system, k), n) for n, k in numbers.items()]
+    numbers = joint_parts(system)
+    return [
+        Part(with_others_measured(dataset, system, *numbers[n]), some(system, numbers[n]), n) for n in names
+    ]
 
 
 def joined(whole: System, models: Sequence[System]) -> System:

@@ -188,14 +188,12 @@ def _settings(dataset: "Dataset", config: StudyConfig) -> dict[str, Any]:
 
 
 def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> bool:
-    """Whether a robot is diagnosed joint by joint; what can be diagnosed in neither way is refused."""
-    if joints or (system.tree is not None and len(system.joints) > MOST_JOINTS):
-        if system.tree is None:
+    """Whether a robot is diagnosed joint by joint; --joint of anything else is refused."""
+    if system.tree is None:
+        if joints:
             raise InputError(f"{model}: --joint takes a joint of a robot, whose description the model names")
-        return True
-    if system.tree is not None and system.tree.couplings:
-        raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")
-    return False
+        return False
+    return bool(joints or system.tree.couplings) or len(system.joints) > MOST_JOINTS
 
 
 def joint_folders(joints: Iterable[str]) -> dict[str, str]:

@@ -44,11 +44,11 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import (
-    alone,
-    joint_number,
+    joint_parts,
     joints_to_diagnose,
     moving_records,
     named,
+    part_with,
     some,
     together,
     with_drive,
@@ -96,7 +96,8 @@ class ArmDiagnosis:
 
     Attributes:
         dataset: the records, of all joints.
-        joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
+        joints: the diagnosis of each joint by the joint's name, the others moving as they were measured; joints of a
+            coupled gear are one (:func:`~hybrid_id.systems.by_joint.joint_parts`).
         skipped: joints that were not diagnosed, each with the reason.
         horizon: how long the free runs are over which the joints' parts and the whole robot are measured
             (:func:`~hybrid_id.diagnosis.whole_robot.common_horizon`), or as long as the user has asked for.
@@ -287,7 +288,7 @@ def diagnose_arm(
     Args:
         dataset: train records, validation records if there are any, and test records, of the whole robot.
         system: the nominal model, of a description.
-        joints: names of the joints to diagnose; None for all that move.
+        joints: names of the joints to diagnose; None for all that move. With one of a coupled gear come the others.
         horizon: how long free runs of a joint are; None for what its records ask for.
         max_effects: effects of a joint at most, beside what acts on all joints.
         jobs: processes.
@@ -315,8 +316,8 @@ def diagnose_arm(
         "signal_share": signal_share,
     }
     stopped = False
+    parts = joint_parts(system)
     for name in names:
-        k = joint_number(system, name)
 
         def say(stage: str, done: int, total: int, name: str = name) -> None:
             if progress is not None:
@@ -324,8 +325,8 @@ def diagnose_arm(
 
         try:
             found[name] = answered(
-                with_others_measured(moving_records(dataset, k), system, k), alone(system, k), kept=kept,
-                progress=say, **how,
+                with_others_measured(moving_records(dataset, *parts[name]), system, *parts[name]),
+                some(system, parts[name]), kept=kept, progress=say, **how,
             )  # fmt: skip
         except InputError as error:  # one joint's records or values must not cost the others theirs
             if len(names) == 1:
@@ -378,15 +379,15 @@ def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew,
 def _to_diagnose(
     dataset: Dataset, system: System, joints: Sequence[str] | None
 ) -> tuple[list[str], dict[str, str]]:
-    """The joints to diagnose, and those that are left out, each with why."""
+    """The joints to diagnose, those of a coupled gear as one, and those that are left out, each with why."""
     able, skipped = joints_to_diagnose(dataset, system)
-    for name in joints or ():
-        joint_number(system, name)
-        if name in skipped:
+    asked = able if joints is None else [part_with(system, name) for name in joints]
+    for name, part in zip(joints or (), asked, strict=False):
+        if part in skipped:
             raise InputError(
-                f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}; take it out of --joint."
+                f"Joint '{name}' cannot be diagnosed by itself: {skipped[part]}; take it out of --joint."
             )
-    names = [name for name in able if joints is None or name in joints]
+    names = [name for name in able if name in asked]
     skipped |= {name: NOT_ASKED for name in able if name not in names}
     if not names:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
@@ -406,11 +407,11 @@ def _reported(
     """The joints' diagnoses; those that fail are ``skipped``. Stopped after one it has those that are there."""
     done = dict[str, Diagnosis]()
     for name, (measured, _) in found.items():
-        k = joint_number(system, name)
-        own = (one for one in skews if number_of(one.channel) == str(k + 1))
+        part = joint_parts(system)[name]
+        own = (one for one in skews if number_of(one.channel) in [str(joint + 1) for joint in part])
         measured = replace(measured, skews=(*own, *measured.skews))
         try:
-            done[name] = reported(measured, alone(system, k), answers[name], seed=seed, level=level)
+            done[name] = reported(measured, some(system, part), answers[name], seed=seed, level=level)
         except InputError as error:
             if len(found) == 1:
                 raise

@@ -45,52 +45,53 @@ class OwnValues:
     sets: tuple[FitResult, ...]
     outputs: tuple[str, ...]
 
-    def left(self, joint: str) -> float:
-        """Share of the structure in a joint's errors that values of each record's own leave.
+    def left(self, *joints: str) -> float:
+        """Share of the structure in a joint's errors, or in those of several, that values of each record's own leave.
 
         Of the records in which one set leaves any, in their geometric mean, so that one which runs away from its own
         values does not decide; 0 where these values leave next to none.
         """
-        if self.nothing_left(joint):
+        if self.nothing_left(*joints):
             return 0.0
-        together, records = self._of(joint, self.common), np.array(self.common.records)
+        together, records = self._of(joints, self.common), np.array(self.common.records)
         least, ratios = CRITERIA.negligible_structure**2, list[float]()
         for one in self.sets:
             pieces = [together[k] for k in np.flatnonzero(records == one.records[0])]
             if (common := structural(pieces)) > least:
-                ratios.append(min(max(structural(self._of(joint, one)), least) / common, 1.0))
+                ratios.append(min(max(structural(self._of(joints, one)), least) / common, 1.0))
         return float(np.exp(np.log(ratios).mean())) if ratios else 1.0
 
-    def explain(self, joint: str) -> bool:
+    def explain(self, *joints: str) -> bool:
         """Whether values of each record's own explain what looks missing at a joint: little or no structure is left."""
-        return self.left(joint) <= CRITERIA.coloured
+        return self.left(*joints) <= CRITERIA.coloured
 
-    def nothing_left(self, joint: str) -> bool:
+    def nothing_left(self, *joints: str) -> bool:
         """Whether these values leave next to no structure at a joint."""
-        return self.structure(joint) <= CRITERIA.negligible_structure**2
+        return self.structure(*joints) <= CRITERIA.negligible_structure**2
 
-    def structure(self, joint: str) -> float:
+    def structure(self, *joints: str) -> float:
         """Mean square of what these values leave of a joint's motion that is no white noise, in noise variances."""
-        return float(np.mean([structural(self._of(joint, one)) for one in self.sets]))
+        return float(np.mean([structural(self._of(joints, one)) for one in self.sets]))
 
-    def mean_square(self, joint: str) -> float:
+    def mean_square(self, *joints: str) -> float:
         """Mean square of all that these values leave of a joint's motion, in noise variances."""
-        return mean_square([piece for one in self.sets for piece in self._of(joint, one)])
+        return mean_square([piece for one in self.sets for piece in self._of(joints, one)])
 
-    def of_joint(self, joint: str) -> list[FitResult]:
+    def of_joint(self, *joints: str) -> list[FitResult]:
         """The records' fits with the parameters of one joint alone."""
         found = []
         for one in self.sets:
             infos = [one.system.parameter(name) for name in one.names]
-            own = [k for k, info in enumerate(infos) if info.component.startswith(f"{joint}/")]
+            own = [k for k, info in enumerate(infos) if info.component.split("/")[0] in joints]
             names, jacobian = (one.names[k] for k in own), (part[..., own] for part in one.jacobian)
             found.append(replace(one, names=tuple(names), values=one.values[own], jacobian=tuple(jacobian)))
         return found
 
-    def _of(self, joint: str, one: FitResult) -> list[np.ndarray]:
-        number = joint.removeprefix("joint")
+    def _of(self, joints: Collection[str], one: FitResult) -> list[np.ndarray]:
         columns = [
-            k for k, n in enumerate(self.outputs) if number_of(n) == number and stem(n) in ("q_m", "q_a")
+            k
+            for k, n in enumerate(self.outputs)
+            if f"joint{number_of(n)}" in joints and stem(n) in ("q_m", "q_a")
         ]
         return [piece[:, columns] for piece in one.residual]
 
@@ -133,11 +134,11 @@ def own_values(
     return OwnValues(common, tuple(found), tuple(batch.outputs))
 
 
-def helps(richer: OwnValues, simpler: OwnValues, joint: str) -> bool:
+def helps(richer: OwnValues, simpler: OwnValues, *joints: str) -> bool:
     """Whether effects take enough of what records' own values leave at their joint, where that has structure."""
-    if simpler.nothing_left(joint):
+    if simpler.nothing_left(*joints):
         return False
-    return richer.mean_square(joint) <= (1.0 - CRITERIA.completing_fall) * simpler.mean_square(joint)
+    return richer.mean_square(*joints) <= (1.0 - CRITERIA.completing_fall) * simpler.mean_square(*joints)
 
 
 def borne_out(robot: WholeRobot) -> dict[str, Answer]:
@@ -155,7 +156,7 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
         return _rated(answers, {})
     # without any effect first: that robot is one program, and often explains most joints
     plain = _own_values(robot, {name: one.searched.base for name, one in answers.items()})
-    nothing = [name for name in unsure if plain is not None and plain.nothing_left(robot.key(name))]
+    nothing = [name for name in unsure if plain is not None and plain.nothing_left(*robot.keys(name))]
     chosen |= {name: answers[name].searched.base for name in nothing}
     now = plain if not any(one.effects for one in chosen.values()) else _own_values(robot, chosen)
     claimed = {
@@ -171,7 +172,9 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
             again = _own_values(robot, chosen, bare)
             now = now if again is None or again.common.cost > now.common.cost else again
         # what acts on all joints stands by the one that it helps
-        if any(helps(now, bare, robot.key(joint)) for joint in models if models[joint] is not chosen[joint]):
+        if any(
+            helps(now, bare, *robot.keys(joint)) for joint in models if models[joint] is not chosen[joint]
+        ):
             continue
         left = chosen | {name: models[name]}
         after = bare if models == left else _own_values(robot, left)
@@ -183,12 +186,12 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
         seen = plain if name in nothing else now
         rest = chosen[name] if chosen[name].effects else answers[name].searched.base
         own = None
-        if seen is not None and not rest.effects and seen.explain(robot.key(name)):
-            own = PerRecord(rest, 0.0, scatter(seen.of_joint(robot.key(name))), True)
+        if seen is not None and not rest.effects and seen.explain(*robot.keys(name)):
+            own = PerRecord(rest, 0.0, scatter(seen.of_joint(*robot.keys(name))), True)
         if refuted or own is not None:
             searched = replace(answers[name].searched, chosen=rest, own=own, refuted=tuple(refuted))
             found[name] = robot.frozen(name, searched)
-    return _rated(found, {} if now is None else {name: now.left(robot.key(name)) for name in found})
+    return _rated(found, {} if now is None else {name: now.left(*robot.keys(name)) for name in found})
 
 
 def _smallest_first(

@@ -29,7 +29,7 @@ from hybrid_id.records.measures import sensor_noise
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.replays import batch_of
-from hybrid_id.systems.by_joint import alone, joint_number, some, with_drive, with_others_measured
+from hybrid_id.systems.by_joint import joint_parts, some, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
 
 UNFITTED = InputError, RuntimeError, np.linalg.LinAlgError
@@ -61,26 +61,32 @@ class WholeRobot:
     progress: Progress | None = None
 
     @cached_property
-    def numbers(self) -> dict[str, int]:
-        """Number of each joint in the robot, from 0."""
-        return {name: joint_number(self.nominal, name) for name in self.answers}
+    def numbers(self) -> dict[str, list[int]]:
+        """Number of each joint in the robot, from 0; of a coupled gear those of its joints."""
+        parts = joint_parts(self.nominal)
+        return {name: parts[name] for name in self.answers}
+
+    @cached_property
+    def simulated(self) -> list[int]:
+        """Numbers of all joints that are simulated."""
+        return sorted(joint for part in self.numbers.values() for joint in part)
 
     @cached_property
     def drives(self) -> dict[str, System]:
         """The nominal drive of each joint by itself."""
-        return {name: alone(self.nominal, number) for name, number in self.numbers.items()}
+        return {name: some(self.nominal, part) for name, part in self.numbers.items()}
 
     @cached_property
     def records(self) -> Dataset:
         """Of the joints that are simulated."""
         if self.every:
             return self.dataset
-        return with_others_measured(self.dataset, self.nominal, *self.numbers.values())
+        return with_others_measured(self.dataset, self.nominal, *self.simulated)
 
     @property
     def every(self) -> bool:
         """Whether all joints are simulated."""
-        return len(self.answers) == len(self.nominal.joints)
+        return len(self.simulated) == len(self.nominal.joints)
 
     @property
     def kept(self) -> Kept | None:
@@ -96,9 +102,9 @@ class WholeRobot:
         """A joint's answer by a search that the whole robot has changed."""
         return frozen_again(self.answers[name], searched, self.drives[name], seed=self.seed)
 
-    def key(self, name: str) -> str:
-        """Where a joint's components stand."""
-        return f"joint{self.numbers[name] + 1}"
+    def keys(self, name: str) -> list[str]:
+        """Where a joint's components stand, or those of a coupled gear's joints."""
+        return [f"joint{joint + 1}" for joint in self.numbers[name]]
 
     def system(self, models: Mapping[str, FittedModel], *, held: bool = False) -> System:
         """The robot with these models of the joints, by name, held as they were in the search or no longer."""
@@ -106,7 +112,7 @@ class WholeRobot:
         for name, one in models.items():
             own = one.system if held else without_priors(one.system, self.drives[name])
             robot = with_drive(robot, own)
-        return robot if self.every else some(robot, list(self.numbers.values()))
+        return robot if self.every else some(robot, self.simulated)
 
 
 def common_horizon(answers: Mapping[str, Answer], signal_share: float) -> Horizon:

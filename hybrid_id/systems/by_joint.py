@@ -88,7 +88,22 @@ def turned_together(system: System, joint: int) -> list[int]:
         joint: number of the joint, from 0.
     """
     gear = _tree(system).coupling(joint)
-    return [joint] if gear is None else list(gear.joints)
+    return [joint] if gear is None else sorted(gear.joints)
+
+
+def joint_parts(system: System) -> dict[str, list[int]]:
+    """Numbers of the joints that are taken together, by a name for them: ``elbow``, ``wrist_5 + wrist_6``.
+
+    Args:
+        system: a robot with a tree.
+    """
+    return {part_with(system, name): turned_together(system, k) for k, name in enumerate(_tree(system).names)}
+
+
+def part_with(system: System, joint: str) -> str:
+    """The name in :func:`joint_parts` of what a joint belongs to; InputError where the robot has none of its name."""
+    names = _tree(system).names
+    return " + ".join(names[k] for k in turned_together(system, joint_number(system, joint)))
 
 
 def some(system: System, joints: Sequence[int]) -> System:
@@ -244,6 +259,8 @@ def moves(record: Record, joint: int) -> bool:
 def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dict[str, str]]:
     """Names of the joints of a robot that can be diagnosed, and of the others, each with the reason.
 
+    Joints of a coupled gear are one (:func:`joint_parts`), which stands still where all of them do.
+
     Args:
         dataset: of the whole robot.
         system: a robot with a tree.
@@ -252,15 +269,11 @@ def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dic
         InputError: a joint's angle was not measured.
     """
     check_angles(dataset, system)
-    taken, skipped = [], {}
-    for k, name in enumerate(() if system.tree is None else system.tree.names):
-        if system.tree is not None and system.tree.coupling(k) is not None:
-            skipped[name] = "motor turns other joints, too"
-        elif not any(moves(record, k) for record in dataset.train):
-            skipped[name] = STANDS
-        else:
-            taken.append(name)
-    return taken, skipped
+    moving = {
+        name: any(moves(record, joint) for record in dataset.train for joint in part)
+        for name, part in joint_parts(system).items()
+    }
+    return [n for n, able in moving.items() if able], {n: STANDS for n, able in moving.items() if not able}
 
 
 def with_standing_held(dataset: Dataset, system: System) -> tuple[Dataset, System]:
@@ -277,7 +290,7 @@ def with_standing_held(dataset: Dataset, system: System) -> tuple[Dataset, Syste
         InputError: a joint's angle was not measured.
     """
     skipped = joints_to_diagnose(dataset, system)[1]
-    standing = [joint_number(system, name) for name, why in skipped.items() if why == STANDS]
+    standing = [joint for name in skipped for joint in joint_parts(system)[name]]
     moving = [k for k in range(len(system.joints)) if k not in standing]
     if not standing or not moving:
         return dataset, system

@@ -34,8 +34,6 @@ from hybrid_id.systems.by_joint import (
     STANDS,
     alone,
     joints_to_diagnose,
-    some,
-    turned_together,
     with_others_measured,
 )
 from hybrid_id.systems.chain import System
@@ -124,12 +122,19 @@ def test_joints_of_a_coupled_gear_are_diagnosed_as_one_part(nominal: System, tmp
     )
     wrist = load_model(tmp_path / "model.yaml")
     dataset = records_of(wrist.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4)))
-    assert joints_to_diagnose(dataset, wrist)[0] == ["pan"]
-    part = turned_together(wrist, 2)
-    found = diagnose(with_others_measured(dataset, wrist, *part), some(wrist, part), max_effects=1)
+    assert joints_to_diagnose(dataset, wrist) == (["pan", "lift + elbow"], {})
+    found = diagnose_arm(dataset, wrist, joints=["elbow"], max_effects=1)
+    assert found.skipped == {"pan": NOT_ASKED} and list(found.joints) == ["lift + elbow"]
     said = found.as_dict()["effects"][0]
     assert (said["name"], said["where"], said["selected"]) == ("spring_load", "elbow/load", True)
+    assert said["joint"] == "lift + elbow" and found.model.tree == wrist.tree
     assert said["parameters"]["k_s"][0] == pytest.approx(0.8, rel=0.05)
+    errors = found.model_errors
+    assert errors is not None and set(errors.rmse) == {"q_m1", "q_m2", "q_m3"}
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(arm_table(found))
+    assert re.search(r"lift \+ elbow +spring", shown.get())
 
 
 @pytest.mark.usefixtures("few")
