@@ -7,7 +7,7 @@ whole, and the test records measure it, driven by the commands alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.common_cause import judged_by_all
+from hybrid_id.diagnosis.coupled_gear import CoupledGear, coupled_gears, with_gears
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
 from hybrid_id.diagnosis.distinguish import distinguished
@@ -114,6 +115,8 @@ class ArmDiagnosis:
         contradiction: where the test records contradict the answer, in a sentence; empty elsewhere.
         interrupted: whether it was stopped, so that joints, or what all of them say together, may lack.
         skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
+        gears: by which motors turn with another joint, too, and which the nominal model lacks; the joints of each were
+            diagnosed once more with it, as one.
     """
 
     dataset: Dataset
@@ -133,6 +136,7 @@ class ArmDiagnosis:
     contradiction: str
     interrupted: bool
     skews: tuple[str, ...] = ()
+    gears: tuple[CoupledGear, ...] = ()
 
     @property
     def case(self) -> str:
@@ -220,7 +224,12 @@ class ArmDiagnosis:
 
     @property
     def verdict(self) -> str:
-        """What the whole robot's is: the first that any joint has, in the order of :data:`VERDICTS`.
+        """What the whole robot's is: that of its joints, or ``effects`` where it lacks a coupled gear."""
+        return "effects" if self.gears else self.of_joints
+
+    @property
+    def of_joints(self) -> str:
+        """The first verdict that any joint has, in the order of :data:`VERDICTS`.
 
         Something is outside the catalogue where it is a substantial part of the robot's gap.
         """
@@ -244,6 +253,7 @@ class ArmDiagnosis:
             "skews": list(self.skews),
             "unknown": self.unknown,
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
+            "coupled_gears": [vars(one) for one in self.gears],
             "effects": effects,
             "ties": [
                 [self._placed(name, joint) for name in tie]
@@ -307,16 +317,50 @@ def diagnose_arm(
     system = within_reach(system)
     dataset, skews = _at_one_time(dataset, system)
     names, skipped = _to_diagnose(dataset, system, joints)
-    found: dict[str, tuple[Measured, Answer]] = {}
-    how = {
-        "horizon": horizon,
-        "max_effects": max_effects,
-        "jobs": jobs,
-        "seed": seed,
-        "signal_share": signal_share,
-    }
-    stopped = False
-    parts = joint_parts(system)
+    searched = partial(
+        _searched, dataset, skipped=skipped, kept=kept, progress=progress, horizon=horizon, max_effects=max_effects,
+        jobs=jobs, seed=seed, signal_share=signal_share,
+    )  # fmt: skip
+    first, stopped = searched(system, names)
+    _raise_without_any(first, skipped)
+    answers = {name: answer for name, (_, answer) in first.items()}
+    horizon = horizon or common_horizon(answers, signal_share)
+    robot = WholeRobot(dataset, system, answers, horizon, signal_share, seed, progress)
+    found, gears = first, tuple[CoupledGear, ...]()
+    if not stopped:  # who stops waits for no more fits
+        try:
+            robot, found, gears = _with_gears(robot, first, searched)
+            robot = replace(robot, answers=_checked(robot))
+        except KeyboardInterrupt:
+            stopped = True
+    done = _reported(robot, found, skews, skipped, level)
+    lacking = [name for name in found if name not in done and name not in skipped]
+    lacking += [name for name in names if name not in first and name not in skipped]
+    skipped |= dict.fromkeys(lacking, STOPPED)
+    without = {name: one.found.base.system for name, (_, one) in first.items() if name not in found}
+    whole = partial(_of_whole_robot, robot, system, done, without, gears, skipped, skews)
+    try:
+        return whole(stopped=stopped or bool(lacking))
+    except KeyboardInterrupt:
+        return whole(stopped=True)
+
+
+Found = dict[str, tuple[Measured, Answer]]
+"""What is known of each joint before its search, and what the search says."""
+
+
+def _searched(
+    dataset: Dataset,
+    system: System,
+    names: Sequence[str],
+    *,
+    skipped: dict[str, str],
+    kept: Kept | None,
+    progress: Progress | None,
+    **how: Any,
+) -> tuple[Found, bool]:
+    """The searches of joints, the others as measured, and whether they were stopped; failed ones are ``skipped``."""
+    found, parts = Found(), joint_parts(system)
     for name in names:
 
         def say(stage: str, done: int, total: int, name: str = name) -> None:
@@ -336,29 +380,31 @@ def diagnose_arm(
         except KeyboardInterrupt:
             if not found:
                 raise
-            stopped = True
-        if stopped or found[name][1].found.interrupted:
-            stopped = True
-            break
-    _raise_without_any(found, skipped)
-    answers = {name: answer for name, (_, answer) in found.items()}
-    horizon = horizon or common_horizon(answers, signal_share)
-    if not stopped:  # who stops waits for no more fits
-        try:
-            answers = _checked(WholeRobot(dataset, system, answers, horizon, signal_share, seed, progress))
-        except KeyboardInterrupt:
-            stopped = True
-    done = _reported(system, found, answers, skews, skipped, seed, level)
-    lacking = [name for name in names if name not in done and name not in skipped]
-    skipped |= dict.fromkeys(lacking, STOPPED)
-    robot = partial(
-        _of_whole_robot, dataset, system, done, skipped, skews, horizon=horizon, seed=seed,
-        signal_share=signal_share, kept=kept,
-    )  # fmt: skip
+            return found, True
+        if found[name][1].found.interrupted:
+            return found, True
+    return found, False
+
+
+def _with_gears(
+    robot: WholeRobot, first: Found, searched: Callable[[System, Sequence[str]], tuple[Found, bool]]
+) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
+    """The robot with gears that its model lacks, the searches with the joints of each as one, and these gears."""
+    gears = coupled_gears(robot)
+    if not gears:
+        return robot, first, ()
+    coupled = with_gears(robot.nominal, gears)
+    asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
     try:
-        return robot(stopped=stopped or bool(lacking))
-    except KeyboardInterrupt:
-        return robot(stopped=True)
+        more, stopped = searched(coupled, list(asked))
+    except InputError:
+        return robot, first, ()
+    if stopped or len(more) < len(asked):
+        return robot, first, ()
+    apart = {name for pair in asked.values() for name in pair}
+    found = {name: one for name, one in first.items() if name not in apart} | more
+    answers = {name: answer for name, (_, answer) in found.items()}
+    return replace(robot, nominal=coupled, answers=answers), found, gears
 
 
 def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew, ...]]:
@@ -396,22 +442,17 @@ def _to_diagnose(
 
 
 def _reported(
-    system: System,
-    found: Mapping[str, tuple[Measured, Answer]],
-    answers: Mapping[str, Answer],
-    skews: Sequence[Skew],
-    skipped: dict[str, str],
-    seed: int,
-    level: float,
+    robot: WholeRobot, found: Found, skews: Sequence[Skew], skipped: dict[str, str], level: float
 ) -> dict[str, Diagnosis]:
     """The joints' diagnoses; those that fail are ``skipped``. Stopped after one it has those that are there."""
     done = dict[str, Diagnosis]()
     for name, (measured, _) in found.items():
-        part = joint_parts(system)[name]
-        own = (one for one in skews if number_of(one.channel) in [str(joint + 1) for joint in part])
+        own = (one for one in skews if f"joint{number_of(one.channel)}" in robot.keys(name))
         measured = replace(measured, skews=(*own, *measured.skews))
         try:
-            done[name] = reported(measured, some(system, part), answers[name], seed=seed, level=level)
+            done[name] = reported(
+                measured, robot.drives[name], robot.answers[name], seed=robot.seed, level=level
+            )
         except InputError as error:
             if len(found) == 1:
                 raise
@@ -439,32 +480,46 @@ def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) 
 
 
 def _of_whole_robot(
-    dataset: Dataset,
+    robot: WholeRobot,
     nominal: System,
     found: Mapping[str, Diagnosis],
+    without: Mapping[str, System],
+    gears: tuple[CoupledGear, ...],
     skipped: Mapping[str, str],
     skews: Sequence[Skew],
     stopped: bool,
-    horizon: Horizon,
-    seed: int,
-    signal_share: float,
-    kept: Kept | None,
 ) -> ArmDiagnosis:
-    """What the joints' diagnoses make of the robot: both of its models, and the test records that measure them."""
-    refit = model = nominal
-    for one in found.values():
-        refit, model = with_drive(refit, one.search.base.system), with_drive(model, one.model)
+    """What the joints' diagnoses make of the robot: both of its models, and the test records that measure them.
+
+    Args:
+        robot: with the gears that its model lacks.
+        nominal: its model without them.
+        found: the diagnoses.
+        without: re-fitted drives of the gears' joints without these, by name.
+        gears: the gears.
+        skipped: see :class:`ArmDiagnosis`.
+        skews: channels that are recorded late against others.
+        stopped: whether no more is fitted.
+    """
+    dataset, horizon, signal_share = robot.dataset, robot.horizon, robot.signal_share
+    refit, model = nominal, robot.nominal
+    for one in without.values():
+        refit = with_drive(refit, one)
+    for name, one in found.items():
+        model = with_drive(model, one.model)
+        if name in joint_parts(nominal):
+            refit = with_drive(refit, one.search.base.system)
     shown = (known for one in found.values() for known in one.search.shown.items())
     free = (i for name, of in shown for s, i in brought(model, *name).items() if s in of.sizes)
     model = model.with_specs({i.name: replace(i.spec, estimate=True) for i in free})
     moving, now = with_standing_held(dataset, nominal)  # what stands still goes with the records
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
-    whole, lacking = None, any(one.search.chosen.effects for one in found.values())
+    whole, lacking = None, bool(gears) or any(one.search.chosen.effects for one in found.values())
     if not stopped:  # who stops waits for no more fits
-        refit, whole = fitted_coupled(moving, refit, horizon, signal_share, kept)
+        refit, whole = fitted_coupled(moving, refit, horizon, signal_share, robot.kept)
         model, whole = (
-            fitted_coupled(moving, model, horizon, signal_share, kept) if lacking else (refit, whole)
+            fitted_coupled(moving, model, horizon, signal_share, robot.kept) if lacking else (refit, whole)
         )
     gap, contradiction = None, ""
     nominal_errors, before, after = (
@@ -475,13 +530,13 @@ def _of_whole_robot(
         refit, model = together(refit), together(model)
     if before is not None and after is not None:
         rest = after.nrmse * float(np.sqrt(1.0 - min(max(after.autocorrelation, 0.0), 1.0)))
-        gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
+        gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=robot.seed)
         contradiction = unconfirmed(gap, "robot") if lacking else ""
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
     (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
-        nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews),
+        nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews), gears,
     )  # fmt: skip
 
 

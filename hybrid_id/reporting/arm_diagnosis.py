@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.coupled_gear import CoupledGear
 from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import NEGLIGIBLE, RatedEffect
 from hybrid_id.diagnosis.whole_robot import brought_to
@@ -65,9 +66,10 @@ _HOW = (
     "its own motion. What acts on all joints, as a floor does, and several of them find likely, is judged by all of "
     "them simulated. What a joint's records cannot distinguish is then compared with all joints simulated, where it is "
     "a tenth of the robot's gap or more, and what is claimed has to help there. As far as something remains at a "
-    "joint, what is named there may be the image of something else, which lowers its probability. Last, the re-fitted "
-    "and the corrected robot are fitted once more as a whole, driven by commands alone, and the test records measure "
-    "them."
+    "joint, what is named there may be the image of something else, which lowers its probability. Where a joint lacks "
+    "something outside the catalogue, a gear is tried by which its motor, or the next one, turns with both joints. "
+    "Last, the re-fitted and the corrected robot are fitted once more as a whole, driven by commands alone, and the "
+    "test records measure them."
 )
 _PART = (
     "The gap is what the nominal model leaves of the train records after a re-fit of its parameters, beyond noise and "
@@ -95,6 +97,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
     """What the diagnosis states of the whole robot, what is known first."""
     large, small, _ = _by_size(found)
     of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
+    of = f"what the gear{'s' if len(found.gears) > 1 else ''} leaves of {of}" if found.gears else of
     if found.selected:
         said = [
             f"{words_of(one.name)} at {joint}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
@@ -124,7 +127,22 @@ def arm_headline(found: ArmDiagnosis) -> str:
         lacking = STOPPED in found.skipped.values() or any(one.interrupted for one in found.joints.values())
         what = "not all joints were diagnosed to the end" if lacking else "what all joints say together lacks"
         sentence += f" The search was interrupted: {what}."
-    return f"{sentence} {found.contradiction}".rstrip() if found.selected else sentence
+    sentence = " ".join([*map(gear_words, found.gears), sentence])
+    return f"{sentence} {found.contradiction}".rstrip() if found.selected or found.gears else sentence
+
+
+def gear_words(one: CoupledGear) -> str:
+    """A gear that the model lacks, in a sentence."""
+    turns = measured(one.turns, _ends(one.turns, one.std), "1")
+    return (
+        f"The motor of {one.motor} turns with {one.joint}, too: {turns} turns behind its own gear for one of that "
+        f"joint (probability {one.probability:.2f}). With such a coupled gear, which the model lacks, the mean square "
+        f"of both joints' errors on records left out falls by {percent(one.share)}."
+    )
+
+
+def _ends(value: float, std: float) -> tuple[float, float] | None:
+    return (value - 1.96 * std, value + 1.96 * std) if std < float("inf") else None
 
 
 Rated = tuple[RatedEffect, RatedEffect, str]
@@ -143,25 +161,29 @@ def _nothing_named(found: ArmDiagnosis) -> str:
     any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
     if found.interrupted:
         return f"Inconclusive: no effect had been accepted at {any_joint}."
-    there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
-    if found.verdict == "outside_catalogue":
+    there = [joint for joint, one in found.joints.items() if one.verdict == found.of_joints]
+    if found.of_joints == "outside_catalogue":
         return (
             "No effect of the catalogue surely explains any of the gap, and something structural remains at "
             f"{joined(there)}."
         )
-    if found.verdict == "parameters_only":
+    if found.of_joints == "parameters_only":
         return f"Wrong parameter values explain the gap at {joined(there)}, and no effect is missing at {any_joint}."
-    if found.verdict == "no_gap":
-        return f"There is no gap: no effect at {any_joint} predicts records left out surely better than the model."
+    if found.of_joints == "no_gap":
+        further = " further" if found.gears else ""
+        surely = "predicts records left out surely better than the model"
+        return f"There is no{further} gap: no effect at {any_joint} {surely}."
     return headline(found.joints[there[0]])
 
 
 def lacks(found: ArmDiagnosis, joint: str) -> str:
     """What a joint lacks, in words."""
     one = found.joints[joint]
+    with_gear = any(joint == f"{gear.joint} + {gear.motor}" for gear in found.gears)
     if not one.selected:
-        return _DIFFERS if one.varying else _VERDICTS[one.verdict]
-    return "; ".join(
+        rest = _DIFFERS if one.varying else _VERDICTS[one.verdict]
+        return f"a coupled gear; beside it {rest}" if with_gear else rest
+    return ("a coupled gear; " if with_gear else "") + "; ".join(
         f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {spot_words(e.name, e.where, one.model)}"
         for e in asserted(one)
     )
@@ -204,7 +226,7 @@ def joints_table(found: ArmDiagnosis) -> Table:
 def _models(found: ArmDiagnosis) -> dict[str, Errors]:
     """Errors of the robot on the test records by the model's name; the corrected one where an effect is asserted."""
     every = {"nominal": found.nominal_errors, "re-fitted": found.refit_errors} | (
-        {"corrected": found.model_errors} if found.selected else {}
+        {"corrected": found.model_errors} if found.selected or found.gears else {}
     )
     return {name: errors for name, errors in every.items() if errors is not None}
 
@@ -230,7 +252,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
         return [f"{unmeasured(found.dataset)}."]
-    corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
+    corrected = f", corrected {gap.with_effect:.3g}" if found.selected or found.gears else ""
     anew = "" if found.horizon.kind == "whole" else f" in {found.horizon.length}"
     lines = [
         f"NRMSE on {count(len(nominal.by_record), 'test record')}, all joints simulated from their commands{anew}, "
@@ -242,7 +264,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
             "The re-fit of the train records predicts the test records worse than the nominal values: they do not "
             "determine all parameters."
         )
-    if found.selected:
+    if found.selected or found.gears:
         lines.append(shrink_line(gap))
     if halting := [joint for joint, one in found.joints.items() if one.rest_differs]:
         lines.append(rest_line(f" at {joined(halting)}"))
