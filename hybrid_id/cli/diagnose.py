@@ -66,7 +66,8 @@ def diagnose(
         list[str] | None,
         typer.Option(
             help="Joint of a robot to diagnose by itself, the others moving as they were measured; may be given "
-            "several times. Of a robot of more than two joints all that move are.",
+            "several times, and brings the others of its coupled gear. Of a robot of more than two joints all that "
+            "move are.",
         ),
     ] = None,
     window: WindowOption = None,
@@ -89,7 +90,8 @@ def diagnose(
     Train records fit; records left out, or validation records, choose; the test records only measure. Writes
     report.html, diagnosis.json, model.yaml (with the effects), refit.yaml (the nominal model, re-fitted),
     next_experiment.csv (where effects are tied: what to command next), pictures and TensorBoard events; of a robot of
-    more than two joints a page and models for each joint in a folder of its name, and those of the whole robot above.
+    more than two joints, or with a coupled gear, a page and models for each joint in a folder of its name, and those of
+    the whole robot above.
     Ctrl-C ends the search with what it has found, --resume goes on.
     """
     config = config_of(
@@ -164,9 +166,9 @@ def run_arm(
 ) -> "ArmDiagnosis":
     """Diagnose a robot joint by joint as the config says, with a bar on stderr."""
     from hybrid_id.diagnosis.arm import diagnose_arm
-    from hybrid_id.systems.by_joint import joints_to_diagnose
+    from hybrid_id.systems.by_joint import asked_parts, joints_to_diagnose
 
-    searches = len(set(joints or ()) or joints_to_diagnose(dataset, system)[0])
+    searches = len(set(asked_parts(system, joints)) if joints else joints_to_diagnose(dataset, system)[0])
     with SearchProgress(config.gap.max_effects, searches) as progress:
         return diagnose_arm(
             dataset, system, joints=joints, kept=kept, progress=progress, **_settings(dataset, config)
@@ -242,7 +244,7 @@ def write_arm(
         The result as JSON, and of the robot and of each joint whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
-    from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page
+    from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page, part_words
     from hybrid_id.reporting.results import as_json
     from hybrid_id.systems.model_file import save_model
 
@@ -264,8 +266,9 @@ def write_arm(
         (folder / name).mkdir()
         draw = all(drawn.values())
         drawn[joint] = write_parts(
-            folder / name, home / name, config, found.joints[joint], draw=draw, robot=f"../{PAGE}"
-        )
+            folder / name, home / name, config, found.joints[joint], draw=draw, robot=f"../{PAGE}",
+            beside=part_words(found, joint),
+        )  # fmt: skip
     text = as_json("diagnose", seed | found.as_dict())
     write_last(folder / DIAGNOSIS, text)
     return text, drawn
@@ -303,6 +306,7 @@ def write_parts(
     *,
     draw: bool = True,
     robot: str = "",
+    beside: str = "",
 ) -> bool:
     """Write all files of a diagnosis but the result itself, which of a robot's joint stands in the robot's.
 
@@ -313,6 +317,7 @@ def write_parts(
         diagnosis: the result.
         draw: whether to draw its pictures and page.
         robot: where the page of the whole robot is, as seen from its own; empty without.
+        beside: what else the robot's diagnosis has found there, in sentences.
 
     Returns:
         Whether all files are written: see `write_report`.
@@ -344,7 +349,7 @@ def write_parts(
         figures=lambda: diagnosis_figures(diagnosis),
         page=lambda figures: diagnosis_page(
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
-            robot=robot,
+            robot=robot, beside=beside,
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
         compute=diagnosis.details.compute,

@@ -344,7 +344,7 @@ def _own_records(config: StudyConfig) -> "Dataset | None":
 
 
 def _label(file: Path, system: "System") -> str:
-    """What the model of a run is called; a diagnosis that asserts no effect has corrected none."""
+    """What the model of a run is called; a diagnosis that asserts no effect and no gear has corrected none."""
     from hybrid_id.export.target import CORRECTED, HYBRID, REFITTED
 
     if file.name in (REFIT, PHYSICS):
@@ -354,7 +354,8 @@ def _label(file: Path, system: "System") -> str:
     result = _result_of(file) or {}
     if "effects" in result:
         with as_written(file, AGAIN):
-            return CORRECTED if any(one["selected"] for one in result["effects"]) else REFITTED
+            more = any(one["selected"] for one in result["effects"]) or result.get("coupled_gears")
+            return CORRECTED if more else REFITTED
     if file.with_name(PHYSICS).exists():  # no network has stayed
         return REFITTED
     return "trained" if result.get("command") == "train" else "identified"

@@ -45,6 +45,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import (
+    asked_parts,
     joint_parts,
     joints_to_diagnose,
     moving_records,
@@ -387,7 +388,7 @@ def _searched(
 
 
 def _with_gears(
-    robot: WholeRobot, first: Found, searched: Callable[[System, Sequence[str]], tuple[Found, bool]]
+    robot: WholeRobot, first: Found, searched: Callable[..., tuple[Found, bool]]
 ) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
     """The robot with gears that its model lacks, the searches with the joints of each as one, and these gears."""
     gears = coupled_gears(robot)
@@ -396,10 +397,12 @@ def _with_gears(
     coupled = with_gears(robot.nominal, gears)
     asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
     try:
-        more, stopped = searched(coupled, list(asked))
+        more, stopped = searched(coupled, list(asked), skipped={})
     except InputError:
         return robot, first, ()
-    if stopped or len(more) < len(asked):
+    if stopped:
+        raise KeyboardInterrupt
+    if len(more) < len(asked):
         return robot, first, ()
     apart = {name for pair in asked.values() for name in pair}
     found = {name: one for name, one in first.items() if name not in apart} | more
@@ -427,7 +430,7 @@ def _to_diagnose(
 ) -> tuple[list[str], dict[str, str]]:
     """The joints to diagnose, those of a coupled gear as one, and those that are left out, each with why."""
     able, skipped = joints_to_diagnose(dataset, system)
-    asked = able if joints is None else [part_with(system, name) for name in joints]
+    asked = able if joints is None else asked_parts(system, joints)
     for name, part in zip(joints or (), asked, strict=False):
         if part in skipped:
             raise InputError(
@@ -594,7 +597,7 @@ def common_sizes(
         known: its parameters with their standard errors, which are compared.
     """
     sizes: dict[tuple[str, ...], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
-    for joint, one in found.items():
+    for one in found.values():
         for each in one.selected:
             if (each.name, each.where) in one.search.shown:
                 continue  # of one size, by these joints together
@@ -609,7 +612,8 @@ def common_sizes(
                     # by its law: at the motor and at the link an effect has other units
                     kind = info.component.rpartition("/")[2]
                     point = getattr(whole.components[info.component], "point", "")
-                    sizes.setdefault((each.name, place, kind, point, symbol), []).append((joint, size, info))
+                    at = named(one.model, each.where).rpartition("/")[0]  # of a coupled gear's joints which
+                    sizes.setdefault((each.name, place, kind, point, symbol), []).append((at, size, info))
     result = []
     for (name, *_), each in sizes.items():
         values, stds = np.array([size for _, size, _ in each]).T

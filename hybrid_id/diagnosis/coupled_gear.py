@@ -1,14 +1,14 @@
 """Motors that turn with the joint before theirs, too: the gears of a wrist, which a model takes for single ones.
 
-What such a motor does is missing at both joints, and nothing at one of them explains it. So where a joint lacks
-something outside the catalogue, it is fitted together with its neighbour, without and with a gear between them.
+What such a motor does is missing at both joints, and nothing at one of them explains it. So where two neighbours lack
+something outside the catalogue, both are fitted together, without and with a gear between them.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, cast
@@ -85,7 +85,7 @@ def with_gears(system: System, gears: Sequence[CoupledGear]) -> System:
 def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
     """The gears that the records show, the likeliest first; of a joint at most one."""
     found = list[CoupledGear]()
-    pairs = _pairs(robot.nominal, robot.answers)
+    pairs = _pairs(robot)
     for done, (joint, motor) in enumerate(pairs):
         robot.say("coupled gears", done, len(pairs))
         if (one := _gear(robot, joint, motor)) is not None:
@@ -99,21 +99,24 @@ def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
     return tuple(kept)
 
 
-def _pairs(system: System, answers: Mapping[str, Answer]) -> list[tuple[int, int]]:
-    """Neighbours of which one lacks something outside the catalogue, and whose motors no loop holds at their goals.
+def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
+    """Neighbours that both lack something outside the catalogue, whose angles were logged, and that no loop drives.
 
     A loop over the motor's own angle would lead the joint astray wherever its neighbour goes, which nobody overlooks.
     """
-    tree, found = cast(RigidBodyTree, system.tree), []
+    tree, found = cast(RigidBodyTree, robot.nominal.tree), []
+    logged = {channel.name for channel in robot.dataset.outputs}
     for motor, own in enumerate(tree.joints):
-        joint = own.parent
-        names = [tree.names[k] for k in (joint, motor)] if joint >= 0 else []
-        if not names or any(name not in answers for name in names):
-            continue
-        held = any(isinstance(system.joints[k].drive.input[1], ServoLoop) for k in (joint, motor))
-        if any(answers[name].grade.unknown for name in names) and not held:
-            found.append((joint, motor))
+        pair = (own.parent, motor)
+        able = all(k >= 0 and _unknown(robot.answers.get(tree.names[k])) for k in pair)
+        able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
+        if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
+            found.append(pair)
     return found
+
+
+def _unknown(answer: Answer | None) -> bool:
+    return answer is not None and answer.grade.unknown
 
 
 def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
@@ -152,26 +155,56 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
     bend = (above + below - 2.0 * here) / CLOSE**2
     if np.isfinite(bend) and bend > 0.0:  # to the least of the parabola through them
         turns -= float(np.clip(0.5 * (above - below) / CLOSE / bend, -CLOSE, CLOSE))
-    richer = fitted(turns)
-    return None if richer is None else _shown(replace(gear, turns=turns), plain, richer, bend)
+    richer, beside = fitted(turns), [fitted(turns - CLOSE), fitted(turns + CLOSE)]
+    std = math.inf if richer is None else _error(richer, *beside)
+    # a gear turns by the same in every record, what looks like one does not
+    if richer is None or std > CRITERIA.max_relative_std * abs(turns):
+        return None
+    rivals = [one for at in TURNS[1:-1] if at and (one := fitted(at)) is not None]
+    return _shown(replace(gear, turns=turns, std=std), plain, richer, rivals)
 
 
-def _shown(gear: CoupledGear, plain: FittedModel, richer: FittedModel, bend: float) -> CoupledGear | None:
+def _error(richer: FittedModel, below: FittedModel | None, above: FittedModel | None) -> float:
+    """Standard error of the turns, all other parameters fitted; no less than a quarter of what they are sought to.
+
+    The larger of two: as many of the errors as are independent tell of the turns; and the records do, for the errors of
+    one go together: by them the products of the errors and of what the turns change there scatter.
+    """
+    if below is None or above is None:
+        return math.inf
+    slopes = [
+        (b - a) / (2.0 * CLOSE) for a, b in zip(below.result.residual, above.result.residual, strict=True)
+    ]
+    information = sum(float(np.square(s).sum()) for s in slopes)
+    gradient = dict.fromkeys(richer.result.records, 0.0)
+    for name, slope, left in zip(richer.result.records, slopes, richer.result.residual, strict=True):
+        gradient[name] += float((slope * left).sum())
+    if len(gradient) < 2 or information == 0.0:
+        return math.inf
+    worth = richer.trained * richer.result.n_samples / max(richer.validation.effective, 1.0)
+    scatter = len(gradient) * float(np.var(list(gradient.values()), ddof=1))
+    return max((worth / information) ** 0.5, scatter**0.5 / information, 0.25 * CLOSE)
+
+
+def _shown(
+    gear: CoupledGear, plain: FittedModel, richer: FittedModel, rivals: Sequence[FittedModel]
+) -> CoupledGear | None:
     """A gear as records left out bear it out; None where they do not.
 
     Args:
         gear: with its turns.
         plain: both joints without it.
         richer: both with it.
-        bend: second derivative of the cost by the turns.
+        rivals: with other turns, which have been tried, too.
     """
     weights = plain.validation.even_weights()
-    plain, richer = (replace(one, validation=one.validation.weighted(weights)) for one in (plain, richer))
-    p = chance(richer, plain)
+
+    def weighted(one: FittedModel) -> FittedModel:
+        return replace(one, validation=one.validation.weighted(weights))
+
+    plain, richer = weighted(plain), weighted(richer)
+    p = chance(richer, plain, [weighted(one) for one in rivals])
     sure = chance_of_presence(richer, plain, p)
     if not passes(richer, plain, p) or sure < CRITERIA.least_probability:
         return None
-    # as many of the errors as are independent tell of it
-    worth = richer.trained * richer.result.n_samples / max(richer.validation.effective, 1.0)
-    std = float(np.sqrt(worth / bend)) if np.isfinite(bend) and bend > 0.0 else math.inf
-    return replace(gear, std=std, share=richer.validation.fall(plain.validation), probability=sure)
+    return replace(gear, share=richer.validation.fall(plain.validation), probability=sure)

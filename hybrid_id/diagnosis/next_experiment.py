@@ -201,7 +201,12 @@ class _Offer:
 
 
 def _offered(dataset: Dataset, system: System, joint: Joint) -> _Offer | None:
-    """Every command in every posture of the others; None for a joint that nothing commands."""
+    """Every command in every posture of the others; None for a joint that nothing commands, or a coupled gear's.
+
+    Where such a gear's motor is, one joint's angle does not say.
+    """
+    if joint.motors:
+        return None
     reference = dataset.train[0]
     logged = next(
         (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None

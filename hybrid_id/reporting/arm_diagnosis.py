@@ -29,6 +29,7 @@ from hybrid_id.reporting.diagnosis_words import (
     headline,
     implausible_lines,
     joined,
+    joint_words,
     measured,
     moved_line,
     percent,
@@ -49,6 +50,7 @@ from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
+from hybrid_id.systems.chain import System
 
 PAGE = "report.html"
 MOVED = 6
@@ -80,6 +82,7 @@ _PART = (
     "RMSE is of all joints simulated, so that what mends one joint may "
     "lower the errors of others."
 )
+_LEFT = "Parts of the gap are of what the coupled gear leaves: what it explains is in none of them."
 _OF_ALL = (
     "These values are of the fit of all joints at once, as in model.yaml here. A joint's own page and folder have "
     "those of the joint by itself, driven by the others' measured motion with its noise, so that the two differ."
@@ -100,9 +103,9 @@ def arm_headline(found: ArmDiagnosis) -> str:
     of = f"what the gear{'s' if len(found.gears) > 1 else ''} leaves of {of}" if found.gears else of
     if found.selected:
         said = [
-            f"{words_of(one.name)} at {joint}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
+            f"{words_of(one.name)} at {_joint(one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
             f"({f'{between}; ' if (between := share_interval(one)) else ''}{sure_words(one)})"
-            for k, (one, _, joint) in enumerate(large)
+            for k, (one, _, _) in enumerate(large)
         ]
         sentence = f"{capital(joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
         rest = found.remainder
@@ -116,9 +119,9 @@ def arm_headline(found: ArmDiagnosis) -> str:
             )
         if small:
             said = [
-                f"{words_of(one.name)} at {joint} ({percent(own.share or 0.0)} of that joint's own gap; "
+                f"{words_of(one.name)} at {_joint(one)} ({percent(own.share or 0.0)} of that joint's own gap; "
                 f"{sure_words(one)})"
-                for one, own, joint in small
+                for one, own, _ in small
             ]
             sentence += f" Of less than 0.5 % of the robot's gap each: {joined(said)}."
     else:
@@ -141,12 +144,23 @@ def gear_words(one: CoupledGear) -> str:
     )
 
 
+def part_words(found: ArmDiagnosis, joint: str) -> str:
+    """What the page of a joint's own diagnosis says first, where a gear was found there; empty elsewhere."""
+    gear = next((one for one in found.gears if joint == f"{one.joint} + {one.motor}"), None)
+    return "" if gear is None else f"{gear_words(gear)} Here the nominal model has it."
+
+
 def _ends(value: float, std: float) -> tuple[float, float] | None:
     return (value - 1.96 * std, value + 1.96 * std) if std < float("inf") else None
 
 
 Rated = tuple[RatedEffect, RatedEffect, str]
 """An effect as the robot and as its joint by itself has it, and that joint's name."""
+
+
+def _joint(one: RatedEffect) -> str:
+    """The joint at which an effect of the robot acts, of a coupled gear's joints the one."""
+    return one.where.rpartition("/")[0]
 
 
 def _by_size(found: ArmDiagnosis) -> tuple[list[Rated], list[Rated], list[Rated]]:
@@ -159,16 +173,19 @@ def _by_size(found: ArmDiagnosis) -> tuple[list[Rated], list[Rated], list[Rated]
 
 def _nothing_named(found: ArmDiagnosis) -> str:
     any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
+    gap = "what the gear leaves" if found.gears else "the gap"
     if found.interrupted:
-        return f"Inconclusive: no effect had been accepted at {any_joint}."
+        beside = "Beside it" if found.gears else "Inconclusive:"
+        return f"{beside} no effect had been accepted at {any_joint}."
     there = [joint for joint, one in found.joints.items() if one.verdict == found.of_joints]
     if found.of_joints == "outside_catalogue":
         return (
-            "No effect of the catalogue surely explains any of the gap, and something structural remains at "
+            f"No effect of the catalogue surely explains any of {gap}, and something structural remains at "
             f"{joined(there)}."
         )
     if found.of_joints == "parameters_only":
-        return f"Wrong parameter values explain the gap at {joined(there)}, and no effect is missing at {any_joint}."
+        values = "Other" if found.gears else "Wrong"
+        return f"{values} parameter values explain {gap} at {joined(there)}, and no effect is missing at {any_joint}."
     if found.of_joints == "no_gap":
         further = " further" if found.gears else ""
         surely = "predicts records left out surely better than the model"
@@ -179,14 +196,20 @@ def _nothing_named(found: ArmDiagnosis) -> str:
 def lacks(found: ArmDiagnosis, joint: str) -> str:
     """What a joint lacks, in words."""
     one = found.joints[joint]
-    with_gear = any(joint == f"{gear.joint} + {gear.motor}" for gear in found.gears)
+    with_gear = bool(part_words(found, joint))
     if not one.selected:
         rest = _DIFFERS if one.varying else _VERDICTS[one.verdict]
         return f"a coupled gear; beside it {rest}" if with_gear else rest
     return ("a coupled gear; " if with_gear else "") + "; ".join(
-        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {spot_words(e.name, e.where, one.model)}"
+        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}{_which(e, one.model)}, "
+        f"{spot_words(e.name, e.where, one.model)}"
         for e in asserted(one)
     )
+
+
+def _which(one: RatedEffect, model: System) -> str:
+    """At which of a coupled gear's joints an effect acts; empty where there is one joint."""
+    return f" of {joint_words(one.where, model)}" if len(model.joints) > 1 else ""
 
 
 def joints_table(found: ArmDiagnosis) -> Table:
@@ -210,7 +233,8 @@ def joints_table(found: ArmDiagnosis) -> Table:
     else:
         errors = [*(f"RMSE {name}>" for name in models), *(("unit",) if models else ())]
     own = "share of the joint's own gap>"
-    heads = ("joint", "lacks", "part of the gap>", own, "probability>", "unexplained>", *errors)
+    part = "part of what the gear leaves>" if found.gears else "part of the gap>"
+    heads = ("joint", "lacks", part, own, "probability>", "unexplained>", *errors)
     if len(rows) == 1:  # all of it: of the other joints nothing is known
         heads, rows = heads[:2] + heads[3:], [row[:2] + row[3:] for row in rows]
     rows += [
@@ -275,7 +299,7 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, values that moved far, and joints not asked for."""
     large, small, _ = _by_size(found)
     sizes = [
-        f"{joint}: {words_of(one.name)}, {', '.join(values)}."
+        f"{_joint(one)}: {words_of(one.name)}, {', '.join(values)}."
         for one, own, joint in (*large, *small)
         if (values := _sizes(found, one, own, joint))
     ]
@@ -297,7 +321,7 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
         lines += [f"{joint}: {line}" for line in more]
     lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
-    if beside := [f"{words_of(one.name)} at {joint}" for one, _, joint in _by_size(found)[2]]:
+    if beside := [f"{words_of(one.name)} at {_joint(one)}" for one, _, _ in _by_size(found)[2]]:
         lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 
@@ -415,7 +439,7 @@ def arm_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
-    joints = page.section("Joints").add(joints_table(found), _PART)
+    joints = page.section("Joints").add(joints_table(found), *([_LEFT] if found.gears else []), _PART)
     if pages:
         joints.links("Each joint's own page:", pages)
     joints.add(*remark_lines(found), _HOW)

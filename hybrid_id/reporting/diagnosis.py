@@ -25,6 +25,7 @@ from hybrid_id.reporting.diagnosis_words import (
     failed_lines,
     headline,
     implausible_lines,
+    joined,
     joint_words,
     moved_line,
     moved_values,
@@ -199,6 +200,7 @@ def diagnosis_page(
     max_effects: int | None = None,
     findings: Sequence[Finding] = (),
     robot: str = "",
+    beside: str = "",
 ) -> Page:
     """The page.
 
@@ -208,11 +210,13 @@ def diagnosis_page(
         max_effects: how many effects the search could add.
         findings: what the check of the records remarked.
         robot: where the page of the robot is that this is one joint of, as seen from this one; empty without.
+        beside: what else that robot's diagnosis has found of these joints, in sentences.
     """
     dataset, details = diagnosis.details.dataset, diagnosis.details
     model = diagnosis.model
-    by_itself = f", {joint_words(model.joints[0].name, model)}" if model.seats else ""
-    page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", headline(diagnosis))
+    names = joined([joint_words(joint.name, model) for joint in model.joints])
+    by_itself = f", {names}" if model.seats else ""
+    page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", f"{beside} {headline(diagnosis)}".lstrip())
     captions = _CAPTIONS | ({} if diagnosis.with_effect else {"worst_record": _NO_TEST})
 
     def picture(section: Section, *names: str) -> None:

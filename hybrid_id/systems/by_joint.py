@@ -208,6 +208,12 @@ def _what(part: object) -> tuple[str, str]:
     return getattr(part, "kind", ""), getattr(part, "point", "")
 
 
+def asked_parts(system: System, names: Sequence[str]) -> list[str]:
+    """Of names of joints, or of parts (:func:`joint_parts`), those of the parts; InputError where there is none."""
+    parts = joint_parts(system)
+    return [name if name in parts else part_with(system, name) for name in names]
+
+
 def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Dataset:
     """The records as :func:`some` reads them: the joints' own channels, and the smoothed motion of the others.
 

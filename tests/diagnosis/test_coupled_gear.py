@@ -19,7 +19,7 @@ from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.record import Record
-from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
+from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table, part_words
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -97,12 +97,27 @@ def test_a_gear_that_the_model_lacks_is_found_with_its_turns(nominal: System, tm
     with console.capture() as shown:
         console.print(arm_table(found))
     assert "bend + roll" in shown.get() and "a coupled gear" in shown.get() and "corrected" in shown.get()
+    assert "here the nominal model has it" in part_words(found, "bend + roll").lower()
+    assert part_words(found, "yaw") == ""
 
 
-def test_no_gear_is_invented_where_something_else_is_outside_the_catalogue(nominal: System) -> None:
-    spring = REGISTRY["spring_load"](k_s=0.15, q_s=0.2)
-    found = diagnose_arm(records_of(nominal.with_component("joint3/load", spring)), nominal)
-    assert found.verdict == "outside_catalogue" and found.joints_with_unknown == ["roll"] and not found.gears
+@pytest.mark.parametrize(("joint", "k"), [("roll", 0.15), ("bend", 0.3)])
+def test_no_gear_is_invented_where_something_else_is_outside_the_catalogue(
+    nominal: System, joint: str, k: float
+) -> None:
+    place = f"joint{2 if joint == 'bend' else 3}/load"
+    spring = REGISTRY["spring_load"](k_s=k, q_s=0.2)
+    dataset = records_of(nominal.with_component(place, spring))
+    found = diagnose_arm(dataset, nominal, joints=["bend", "roll"])
+    assert found.verdict == "outside_catalogue" and found.joints_with_unknown == [joint] and not found.gears
+
+
+def test_springs_at_two_neighbours_are_no_gear(nominal: System) -> None:
+    system = nominal
+    for place, k in (("joint2/load", 0.3), ("joint3/load", 0.15)):
+        system = system.with_component(place, REGISTRY["spring_load"](k_s=k, q_s=0.2))
+    found = diagnose_arm(records_of(system), nominal, joints=["bend", "roll"])
+    assert sorted(found.joints_with_unknown) == ["bend", "roll"] and not found.gears
 
 
 def test_nothing_is_asked_where_nothing_is_missing(nominal: System, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,3 +147,13 @@ def test_motors_that_a_loop_holds_are_not_asked(tmp_path: Path) -> None:
         progress=lambda stage, *_: stages.append(stage),
     )
     assert coupled_gears(robot) == () and not stages
+
+
+def test_ctrl_c_in_the_search_with_the_gear_is_not_lost(
+    nominal: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arm, "coupled_gears", lambda _: (GEAR,))
+    robot = WholeRobot(records_of(nominal, 2), nominal, {}, WHOLE)
+    with pytest.raises(KeyboardInterrupt):
+        arm._with_gears(robot, {}, lambda *_, **__: ({}, True))
+    assert arm._with_gears(robot, {}, lambda *_, **__: ({}, False)) == (robot, {}, ())
