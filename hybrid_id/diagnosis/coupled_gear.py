@@ -1,7 +1,7 @@
 """Motors that turn with the joint before theirs, too: the gears of a wrist, which a model takes for single ones.
 
 What such a motor does is missing at both joints, and nothing at one of them explains it. So where two neighbours lack
-something outside the catalogue, both are fitted together, without and with a gear between them.
+something, one of them something outside the catalogue, both are fitted together, without and with a gear between them.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
 
 
 def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
-    """Neighbours that both lack something outside the catalogue, whose angles were logged, and that no loop drives.
+    """Neighbours that both lack something, one of them outside the catalogue, angles logged, and driven by no loop.
 
     A loop over the motor's own angle would lead the joint astray wherever its neighbour goes, which nobody overlooks.
     """
@@ -108,15 +108,17 @@ def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
     logged = {channel.name for channel in robot.dataset.outputs}
     for motor, own in enumerate(tree.joints):
         pair = (own.parent, motor)
-        able = all(k >= 0 and _unknown(robot.answers.get(tree.names[k])) for k in pair)
+        answers = [robot.answers.get(tree.names[k]) for k in pair if k >= 0]
+        able = len(answers) == 2 and all(one is not None and _lacks(one) for one in answers)
+        able = able and any(one is not None and one.grade.unknown for one in answers)
         able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
         if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
             found.append(pair)
     return found
 
 
-def _unknown(answer: Answer | None) -> bool:
-    return answer is not None and answer.grade.unknown
+def _lacks(answer: Answer) -> bool:
+    return bool(answer.grade.unknown or answer.found.chosen.effects)
 
 
 def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
@@ -160,6 +162,13 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
     # a gear turns by the same in every record, what looks like one does not
     if richer is None or std > CRITERIA.max_relative_std * abs(turns):
         return None
+    named = {name: robot.answers[name].found.chosen for name in (gear.joint, gear.motor)}
+    if any(one.effects for one in named.values()):  # what is named without it has to err more
+        both = replace(robot, answers={name: robot.answers[name] for name in named}).system(named)
+        effects = tuple(sorted(effect for one in named.values() for effect in one.effects))
+        other = fits.run([Task(effects, both)], FULL)[0]
+        if other is not None and other.error <= richer.error:
+            return None
     rivals = [one for at in TURNS[1:-1] if at and (one := fitted(at)) is not None]
     return _shown(replace(gear, turns=turns, std=std), plain, richer, rivals)
 

@@ -68,8 +68,9 @@ _HOW = (
     "its own motion. What acts on all joints, as a floor does, and several of them find likely, is judged by all of "
     "them simulated. What a joint's records cannot distinguish is then compared with all joints simulated, where it is "
     "a tenth of the robot's gap or more, and what is claimed has to help there. As far as something remains at a "
-    "joint, what is named there may be the image of something else, which lowers its probability. Where a joint lacks "
-    "something outside the catalogue, a gear is tried by which its motor, or the next one, turns with both joints. "
+    "joint, what is named there may be the image of something else, which lowers its probability. Where two "
+    "neighbours lack something, one of them something outside the catalogue, a gear is tried by which a motor turns "
+    "with both. "
     "Last, the re-fitted and the corrected robot are fitted once more as a whole, driven by commands alone, and the "
     "test records measure them."
 )
