@@ -505,12 +505,12 @@ def _of_whole_robot(
         stopped: whether no more is fitted.
     """
     dataset, horizon, signal_share = robot.dataset, robot.horizon, robot.signal_share
-    refit, model = nominal, robot.nominal
+    refit, model, apart = nominal, robot.nominal, joint_parts(nominal)
     for one in without.values():
         refit = with_drive(refit, one)
     for name, one in found.items():
         model = with_drive(model, one.model)
-        if name in joint_parts(nominal):
+        if name in apart:
             refit = with_drive(refit, one.search.base.system)
     shown = (known for one in found.values() for known in one.search.shown.items())
     free = (i for name, of in shown for s, i in brought(model, *name).items() if s in of.sizes)

@@ -26,6 +26,7 @@ from hybrid_id.diagnosis.select import chance, passes
 from hybrid_id.diagnosis.thinning import thinned
 from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.errors import InputError
+from hybrid_id.robots.couplings import GearCoupling
 from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.by_joint import moving_records, some, with_others_measured
 from hybrid_id.systems.chain import System
@@ -69,16 +70,17 @@ def with_gears(system: System, gears: Sequence[CoupledGear]) -> System:
         InputError: a part of a joint that no coupled gear can have.
     """
     tree = cast(RigidBodyTree, system.tree)
-    known = [
-        ([tree.names[joint] for joint in one.joints], [list(row) for row in one.matrix])
-        for one in tree.couplings
-    ]
-    added = [([one.joint, one.motor], [[1.0, 0.0], [one.turns, 1.0]]) for one in gears]
+    added = (
+        GearCoupling(
+            (tree.names.index(one.joint), tree.names.index(one.motor)), ((1.0, 0.0), (one.turns, 1.0))
+        )
+        for one in gears
+    )
     parts = [
         (key.rpartition("/")[0], copy.deepcopy(cast(Component, part)))
         for key, part in system.components.items()
     ]
-    coupled = tree.coupled([*known, *added])
+    coupled = replace(tree, couplings=(*tree.couplings, *added))
     return System(system.gear_ratio, parts, system.aliases, system.name, coupled)
 
 
@@ -108,9 +110,9 @@ def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
     logged = {channel.name for channel in robot.dataset.outputs}
     for motor, own in enumerate(tree.joints):
         pair = (own.parent, motor)
-        answers = [robot.answers.get(tree.names[k]) for k in pair if k >= 0]
-        able = len(answers) == 2 and all(one is not None and _lacks(one) for one in answers)
-        able = able and any(one is not None and one.grade.unknown for one in answers)
+        names = [tree.names[k] for k in pair if k >= 0]
+        lacking = [one for name in names if (one := robot.answers.get(name)) is not None and _lacks(one)]
+        able = len(lacking) == 2 and any(one.grade.unknown for one in lacking)
         able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
         if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
             found.append(pair)
@@ -133,7 +135,7 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
     @cache
     def fitted(turns: float) -> FittedModel | None:
         try:
-            one = some(with_gears(robot.nominal, [replace(gear, turns=turns)]), pair)
+            one = some(with_gears(robot.nominal, [replace(gear, turns=turns)]), pair) if turns else bare
         except InputError:
             return None
         return fits.run([Task((), one)], FULL)[0]
@@ -142,17 +144,15 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
         end = fitted(turns)
         return math.inf if end is None else end.result.cost
 
-    plain = fits.run([Task((), bare)], FULL)[0]
-    if plain is None:
+    plain = fitted(0.0)
+    first = min(TURNS[1:-1], key=cost)
+    if plain is None or first == 0.0:
         return None
-    costs = {turns: cost(turns) if turns else plain.result.cost for turns in TURNS[1:-1]}
-    first = TURNS.index(min(costs, key=lambda turns: costs[turns]))
-    if TURNS[first] == 0.0:
-        return None
-    ends = TURNS[first - 1], TURNS[first + 1]
+    at = TURNS.index(first)
+    ends = TURNS[at - 1], TURNS[at + 1]
     looks = {"maxiter": LOOKS, "xatol": CLOSE}
     near = cast(Any, minimize_scalar(cost, bounds=ends, method="bounded", options=looks))
-    turns = min(TURNS[first], float(near.x), key=cost)
+    turns = min(first, float(near.x), key=cost)
     below, here, above = cost(turns - CLOSE), cost(turns), cost(turns + CLOSE)
     bend = (above + below - 2.0 * here) / CLOSE**2
     if np.isfinite(bend) and bend > 0.0:  # to the least of the parabola through them
@@ -166,10 +166,10 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
     if any(one.effects for one in named.values()):  # what is named without it has to err more
         both = replace(robot, answers={name: robot.answers[name] for name in named}).system(named)
         effects = tuple(sorted(effect for one in named.values() for effect in one.effects))
-        other = fits.run([Task(effects, both)], FULL)[0]
-        if other is not None and other.error <= richer.error:
+        instead = fits.run([Task(effects, both)], FULL)[0]
+        if instead is not None and instead.error <= richer.error:
             return None
-    rivals = [one for at in TURNS[1:-1] if at and (one := fitted(at)) is not None]
+    rivals = [one for other in TURNS[1:-1] if other and (one := fitted(other)) is not None]
     return _shown(replace(gear, turns=turns, std=std), plain, richer, rivals)
 
 

@@ -50,6 +50,7 @@ from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
+from hybrid_id.systems.by_joint import part_with
 from hybrid_id.systems.chain import System
 
 PAGE = "report.html"
@@ -147,7 +148,7 @@ def gear_words(one: CoupledGear) -> str:
 
 def part_words(found: ArmDiagnosis, joint: str) -> str:
     """What the page of a joint's own diagnosis says first, where a gear was found there; empty elsewhere."""
-    gear = next((one for one in found.gears if joint == f"{one.joint} + {one.motor}"), None)
+    gear = next((one for one in found.gears if joint == part_with(found.model, one.motor)), None)
     return "" if gear is None else f"{gear_words(gear)} Here the nominal model has it."
 
 

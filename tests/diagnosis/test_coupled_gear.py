@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gapcase import only
 from rich.console import Console
-from servo_arm import described, of_joint
+from servo_arm import described, of_joint, simulated, tones
 from servo_arm import records_of as answered
 
 from hybrid_id import Dataset, diagnose_arm
@@ -17,18 +17,13 @@ from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.coupled_gear import CoupledGear, coupled_gears, with_gears
 from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.identification.horizons import WHOLE
-from hybrid_id.records.dataset import Channel
-from hybrid_id.records.record import Record
 from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table, part_words
-from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
 
 pytest.importorskip("mujoco")
 
-STEP, NOISE, TURNS = 0.01, 1e-3, 0.7
+TURNS = 0.7
 WRIST = """<mujoco><compiler angle="radian"/><worldbody>
 <body><joint name="yaw" axis="0 0 1" armature="0.004" damping="0.05" frictionloss="0.02"/>
 <inertial mass="0.5" pos="0 0 0.05" diaginertia="0.002 0.002 0.002"/>
@@ -56,22 +51,12 @@ def nominal(tmp_path: Path) -> System:
 
 def records_of(system: System, count: int = 5) -> Dataset:
     """Torques and the joint angles that a system answers with, the last record a test record."""
-    rng, time, records = np.random.default_rng(3), STEP * np.arange(300), []
-    for k in range(count):
-        inputs = {
-            f"tau{j}": 0.06
-            * sum(np.sin(2 * np.pi * f * time + rng.uniform(0, 6.28)) for f in (0.5, 1.1, 2.3))
-            for j in (1, 2, 3)
-        }
-        blank = Record(f"run_{k}", time, inputs, {f"q_a{j}": 0.0 * time for j in (1, 2, 3)})
-        batch = make_batch(system, [blank], noise_std={f"q_a{j}": 1e-6 for j in (1, 2, 3)})
-        angles = simulate(system, Engine("dry", 4, compiled=True), batch).y[0].numpy()
-        angles = angles + NOISE * rng.standard_normal(angles.shape)
-        outputs = {f"q_a{j}": angles[:, j - 1] for j in (1, 2, 3)}
-        records.append(Record(blank.name, time, inputs, outputs, "train" if k < count - 1 else "test"))
-    inputs = tuple(Channel(f"tau{j}", "N m") for j in (1, 2, 3))
-    return Dataset(
-        "wrist", inputs, tuple(Channel(f"q_a{j}", "rad", NOISE) for j in (1, 2, 3)), tuple(records), STEP
+    return simulated(
+        system,
+        count,
+        np.random.default_rng(3),
+        ("tau", "N m", "q_a"),
+        lambda rng: 0.06 * tones(rng, (0.5, 1.1, 2.3)),
     )
 
 
