@@ -13,10 +13,10 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test check soak fuzz audit docs format clean
+.PHONY: help install demo test check benchmark-report soak fuzz audit docs format clean
 
 help:  ## list the commands
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 18
 
 install: $(INSTALLED)  ## make .venv and install everything that the other commands need
 
@@ -30,6 +30,9 @@ check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+benchmark-report: $(INSTALLED)  ## diagnose 40 stored machines and hold the scores against their floors (half an hour)
+	$(BIN)/python -m benchmarks.report --jobs $(JOBS)
 
 soak: $(INSTALLED)  ## kill every long command at random moments and go on, 50 times each (three hours)
 	$(BIN)/python tests/soak.py

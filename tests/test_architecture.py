@@ -19,11 +19,6 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 MAX_PUBLIC_NAMES = 40
 
-MAX_LINES = 60
-"""Of a function's code, without signature and docstring: a screen."""
-LONGER = {"machines.messy._rivals": 66}
-"""Functions that are longer as yet."""
-
 FLOORS = {
     "errors": 0,
     "parameters": 0,
@@ -197,28 +192,6 @@ def test_offence_is_caught(module: str, source: str, expected: str) -> None:
 )
 def test_permitted_source_passes(module: str, source: str) -> None:
     assert faults(module, source) == []
-
-
-def long_functions(module: str, source: str, most: int = MAX_LINES) -> Iterator[str]:
-    """Yield functions whose code, without signature and docstring, has more lines than fit a screen."""
-    for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            continue
-        code = node.body[1:] if ast.get_docstring(node) else node.body
-        lines = (code[-1].end_lineno or 0) - code[0].lineno + 1 if code else 0
-        if lines > LONGER.get(f"{module}.{node.name}", most):
-            yield f"{module}.{node.name} has {lines} lines"
-
-
-def test_functions_fit_a_screen() -> None:
-    found = [one for p in MODULES for one in long_functions(module_name(p), p.read_text(encoding="utf-8"))]
-    assert found == []
-
-
-def test_a_long_function_would_be_seen() -> None:
-    source = 'def f(\n    a,\n):\n    """Words.\n\n    More of them.\n    """\n    a = 1\n    return a\n'
-    assert list(long_functions("m", source, 1)) == ["m.f has 2 lines"]
-    assert not list(long_functions("m", source, 2))
 
 
 def circles(known: dict[str, str]) -> list[str]:
