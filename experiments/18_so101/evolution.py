@@ -34,7 +34,11 @@ def fitted(train: Dataset, start: System) -> System:
     def model(x: np.ndarray) -> System:
         values = {}
         for info, change in zip(infos, x, strict=True):
-            value = 0.1 * abs(change) if info.symbol == "T_d" else info.spec.value * np.exp(np.clip(change, -3, 3))
+            value = (
+                0.1 * abs(change)
+                if info.symbol == "T_d"
+                else info.spec.value * np.exp(np.clip(change, -3, 3))
+            )
             values[info.name] = float(np.clip(value, info.spec.lower, info.spec.upper))
         return start.with_values(values)
 

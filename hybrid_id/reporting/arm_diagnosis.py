@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -45,9 +46,8 @@ from hybrid_id.reporting.diagnosis_words import (
     unmeasured,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
+from hybrid_id.reporting.style import GREY, journal, new_figure, pixels, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
@@ -391,9 +391,9 @@ def arm_table(found: ArmDiagnosis) -> RenderableType:
     return Group(*parts)
 
 
-def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
+def arm_figures(found: ArmDiagnosis) -> dict[str, np.ndarray]:
     """Every picture by the name of its file."""
-    return {"joints": drawn(joints_figure(found))} if found.model_errors is not None else {}
+    return {"joints": pixels(joints_figure(found))} if found.model_errors is not None else {}
 
 
 @journal()
@@ -427,7 +427,7 @@ def joints_figure(found: ArmDiagnosis) -> Figure:
 
 def arm_page(
     found: ArmDiagnosis,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     pages: Mapping[str, str],
     *,
     findings: Sequence[Finding] = (),

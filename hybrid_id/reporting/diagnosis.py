@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -43,7 +44,6 @@ from hybrid_id.reporting.diagnosis_words import (
     where_line,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page, Section
 from hybrid_id.reporting.residuals import residual_blocks
 from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_cells
@@ -195,7 +195,7 @@ _NO_TEST = (
 
 def diagnosis_page(
     diagnosis: Diagnosis,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     *,
     max_effects: int | None = None,
     findings: Sequence[Finding] = (),

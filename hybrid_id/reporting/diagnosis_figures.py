@@ -22,7 +22,6 @@ from hybrid_id.reporting.diagnosis_words import (
     side_words,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.study_figures import comparison_figure
 from hybrid_id.reporting.style import (
     COLOURS,
@@ -31,6 +30,7 @@ from hybrid_id.reporting.style import (
     journal,
     legend_above,
     new_figure,
+    pixels,
     plain_logarithm,
     power_of_ten,
     scaled_unit,
@@ -49,7 +49,7 @@ MAX_NAME = 16
 MODELS = {"nominal": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2]}
 
 
-def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
+def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
     """Every picture of a diagnosis by the name of its file."""
     details = diagnosis.details
     outputs = with_joint_names(details.dataset.outputs, diagnosis.model)
@@ -73,7 +73,7 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
         figures["candidates"] = candidates_figure(diagnosis)
     worst = details.worst_record
     figures["worst_record"] = comparison_figure(dataset, worst, worst.records[0])
-    return {name: drawn(figure) for name, figure in figures.items()}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 @journal()

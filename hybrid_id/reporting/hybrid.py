@@ -13,11 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.residuals import Residuals, residual_blocks
 from hybrid_id.reporting.study import LEGEND, bound_cells, reliability_cells
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, symbol
 from hybrid_id.reporting.tables import count, interval_words, records_table, table
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
@@ -171,11 +170,11 @@ def map_figure(role: NetworkRole) -> Figure:
     return figure
 
 
-def hybrid_pictures(study: HybridStudy) -> dict[str, Drawn]:
+def hybrid_pictures(study: HybridStudy) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
     figures = {"drift": drift_figure(study)} if study.result.chosen else {}
     figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
-    return {name: drawn(figure) for name, figure in figures.items()}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 _LADDER = (
@@ -213,7 +212,7 @@ def _lead(study: HybridStudy) -> str:
 def hybrid_page(
     dataset: Dataset,
     study: HybridStudy,
-    pictures: Mapping[str, Drawn],
+    pictures: Mapping[str, np.ndarray],
     *,
     alone: Study,
     residuals: Residuals,

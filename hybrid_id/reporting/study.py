@@ -12,7 +12,6 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.residuals import Residuals, residual_blocks, sound
 from hybrid_id.reporting.tables import (
@@ -190,7 +189,7 @@ _CAPTIONS = {
 def study_page(
     dataset: Dataset,
     study: Study,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     *,
     findings: Sequence[Finding] = (),
     residuals: Residuals | None = None,
@@ -200,7 +199,7 @@ def study_page(
     Args:
         dataset: the records.
         study: the result.
-        figures: its pictures by name, with their interactive form.
+        figures: its pictures by name.
         findings: what the check of the records remarked.
         residuals: tests of the residuals of the selected set.
     """

@@ -79,9 +79,7 @@ def test_run_is_scored_and_published(home: Path) -> None:
     index = boards / "README.md"
     index.write_text("# Earlier\n")
     told = call("score", runs, "--answers", archive, "--publish", boards)
-    assert (
-        "reproduce --out blind --seed 5 --cases 3 --system one_link --method bic --method stribeck" in told
-    )
+    assert "reproduce --out blind --seed 5 --cases 3 --system one_link --method bic --method stribeck" in told
     content = json.loads((runs / "scores.json").read_text())
     assert content["about"]["scored"] == 3 and list(content["methods"]) == ["bic", "stribeck"]
     stribeck = content["methods"]["stribeck"]["scores"]["all"]
@@ -117,8 +115,7 @@ def test_run_is_scored_and_published(home: Path) -> None:
     assert listed[0] == board.name and set(listed) == {file.name for file in boards.glob("2*.md")}
     page = (runs / "report.html").read_text()
     assert (
-        "bic meets 2 of 5 targets, 2 of these with an interval that reaches beyond the target (7 more"
-        in page
+        "bic meets 2 of 5 targets, 2 of these with an interval that reaches beyond the target (7 more" in page
     )
     assert (
         "missed: strong effects: first name right; " in page
@@ -172,7 +169,9 @@ def test_cases_that_were_changed_after_they_were_sealed_are_refused(home: Path) 
 
 def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
     cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
-    (runs / "stribeck" / ".half").mkdir(parents=True)  # of a run that was killed before it wrote its first line
+    (runs / "stribeck" / ".half").mkdir(
+        parents=True
+    )  # of a run that was killed before it wrote its first line
     call("run", cases, "--out", runs, "--method", "stribeck")
     (runs / "stribeck" / "c002" / "diagnosis.json").unlink()
     call("score", runs, "--answers", archive, fails="lacks 1 of 3 cases")

@@ -34,7 +34,6 @@ from hybrid_id.reporting.diagnosis_words import (
     where_line,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.study import bound_cells
 from hybrid_id.reporting.tensorboard import write_diagnosis_events
 from hybrid_id.systems import System
@@ -52,7 +51,7 @@ ACTS = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 
 
 
 @pytest.fixture(scope="module")
-def figures(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, Drawn]:
+def figures(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, np.ndarray]:
     return diagnosis_figures(diagnosed[2])
 
 
@@ -65,7 +64,7 @@ def test_nothing_is_computed_while_pictures_and_page_are_made(
         monkeypatch.setattr(f"hybrid_id.diagnosis.details.{name}", None)
     drawn = diagnosis_figures(found)
     assert diagnosis_page(found, drawn).html() and diagnosis_table(found)
-    write_diagnosis_events(tmp_path, found, {name: one.image for name, one in drawn.items()})
+    write_diagnosis_events(tmp_path, found, drawn)
 
 
 def half_explained(found: Diagnosis, **changes: object) -> Diagnosis:
@@ -433,10 +432,9 @@ def test_records_that_were_thinned_are_said(diagnosed, figures) -> None:
 
 
 def test_events_hold_errors_shares_probabilities_and_pictures(diagnosed, figures, tmp_path) -> None:
-    images = {name: figure.image for name, figure in figures.items()}
-    write_diagnosis_events(tmp_path, diagnosed[2], images)
+    write_diagnosis_events(tmp_path, diagnosed[2], figures)
     events = EventAccumulator(str(tmp_path)).Reload()
     scalars = set(events.Tags()["scalars"])
     assert {"gap/nominal", "gap/re-fitted", "gap/corrected", "gap/q_m1/corrected"} <= scalars
     assert {"probability/joint1/load/spring_load", "share/joint1/load/spring_load"} <= scalars
-    assert {f"figures/{name}" for name in images} == set(events.Tags()["images"])
+    assert {f"figures/{name}" for name in figures} == set(events.Tags()["images"])
