@@ -189,7 +189,7 @@ def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
     acting = [joint for joint, one in arm.joints.items() if one.unknown]
     where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
     return arm.as_dict() | {
-        "unknown_at": where and {"joint": where, "place": None},
+        "unknown_location": where and {"joint": where, "side": None},
         "next_experiments": [entry for joint in arm.tied for entry in proposed(arm.joints[joint])],
     }
 

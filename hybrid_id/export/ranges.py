@@ -65,7 +65,7 @@ def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
         name, spec = info.name, info.spec
         claimed = _claimed(spec, half_widths.get(name), known.get("profiles", {}).get(name))
         spread = [s[name] for s in sets if name in s]
-        grade = known.get("reliability", known.get("trust", {})).get(name, {}).get("grade")
+        grade = known.get("reliability", {}).get(name, {}).get("grade")
         low, high, source = _range(spec, claimed, spread, float(ndtri(0.5 + level / 2)), name in values)
         ranges[name] = {
             "nominal": spec.value,
@@ -74,7 +74,6 @@ def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
             "unit": info.unit,
             "from": source,
             "reliability": grade,
-            "trust": grade,  # the former name, for one release
             "component": info.component,
         }
     return {"level": level, "parameters": ranges}

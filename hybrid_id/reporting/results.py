@@ -43,7 +43,6 @@ def study_result(study: Study) -> dict[str, Any]:
         "sets": [_set_result(study, i) for i in range(len(study.sets))],
         "variation": _variation_result(study),
         "reliability": reliability,
-        "trust": reliability,  # its name until 0.2
         "identifiability": identifiability_result(study.identifiability),
         "combinations": _combinations_result(study),
         "cross_validation": {

@@ -209,7 +209,7 @@ def test_an_arm_is_made_diagnosed_joint_by_joint_and_scored(
     with only("encoder_zero", "quadratic_drag"):
         call("run", cases, "--out", runs)
     said = json.loads((runs / "diagnose" / "c001" / "diagnosis.json").read_text())
-    assert set(said["joints"]) == {"j1", "j2"} and "unknown_at" in said
+    assert set(said["joints"]) == {"j1", "j2"} and "unknown_location" in said
     told = call("score", runs, "--answers", archive)
     assert "--realism arms" in told and "| joint of the dominant effect | ≥ 90 % | 100 %" in told
     scores = json.loads((runs / "scores.json").read_text())["methods"]["diagnose"]["scores"]["all"]

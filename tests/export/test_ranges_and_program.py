@@ -102,7 +102,6 @@ def test_a_range_holds_what_the_records_own_sets_say() -> None:
     found = to_ranges(one_link(100.0), result)["parameters"]
     assert (found["J"]["lower"], found["J"]["upper"]) == pytest.approx((1.99e-5, 2.1e-5))
     assert (found["J"]["reliability"], found["F_c"]["reliability"]) == ("C", None)
-    assert found["J"]["trust"] == "C"  # the former name
     assert (found["F_c"]["lower"], found["F_c"]["upper"], found["F_c"]["from"]) == (0.007, 0.013, "profile")
 
 

@@ -10,7 +10,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from hybrid_id.diagnosis.catalogue import SIDES
 from hybrid_id.diagnosis.locate import HISTORY, Disturbance, Location
 from hybrid_id.diagnosis.next_experiment import Experiment
-from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
@@ -306,11 +306,9 @@ def test_without_test_records_no_error_is_claimed(diagnosed, sound) -> None:
         assert "no test record moves" in words
 
 
-def test_former_keys_say_what_the_new_ones_say(diagnosed) -> None:
+def test_file_says_where_the_unknown_acts_and_each_output_errs(diagnosed) -> None:
     content = half_explained(diagnosed[2]).as_dict()
-    assert all(content[old] == content[new] for old, new in FORMER_KEYS.items())
-    assert content["unknown_at"] == {"joint": "joint2", "place": "load", "side": "load"}
-    assert content["outvoted"] == [] and content["window"] is None and content["halted_elsewhere"] is False
+    assert content["unknown_location"] == {"joint": "joint2", "side": "load"}
     assert content["gap"]["by_output"]["q_m1"]["refit"] == content["gap"]["refit"]
 
 

@@ -264,7 +264,9 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
     text = as_json("identify", study_result(study))
     result = json.loads(text, parse_constant=refuse)
     assert result["selected"]["half_widths"]["J"] is result["selected"]["intervals"]["J"] is None
-    assert result["reliability"]["J"]["words"] == "not on its own" and result["trust"]["J"]["grade"] == "D"
+    assert (
+        result["reliability"]["J"]["words"] == "not on its own" and result["reliability"]["J"]["grade"] == "D"
+    )
     assert result["reliability"]["F_c"]["std_error_of_mean"] == result["reliability"]["F_c"]["std_error"]
     assert result["identifiability"]["not_identifiable"] == result["identifiability"]["not_claimable"] != []
     assert set(result["nominal_model"]) == {info.name for info in study.system.table}  # held ones, too
