@@ -217,8 +217,8 @@ def _nothing() -> ParameterChange:
 def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p).
 
-    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value. One that
-    is zero before and after has not moved and has no size to be relative to: it does not count.
+    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value. One
+    that is zero before and after has not moved and has no size to be relative to: it does not count.
     """
     before = {info.name: info.spec.value for info in nominal.table}
     kept = [k for k, name in enumerate(fit.names) if before.get(name) or (name in before and fit.values[k])]

@@ -57,7 +57,6 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
         ],
         "error_with_one_set": study.pooled,
         "error_with_per_record_fits": study.own,
-        "error_with_own_sets": study.own,  # its name until 0.2
         "weighted_error": {n: {"physics": a, "hybrid": b} for n, (a, b) in study.errors.items()},
         "warnings": study.warnings,
     }  # fmt: skip

@@ -79,18 +79,16 @@ def nominal_result(system: System) -> dict[str, Any]:
 
 def _selected_result(study: Study) -> dict[str, Any]:
     """The selected set: its values and their intervals."""
-    selection, values = study.selection, study.selected.values
-    half = 0.5 * np.diff(normal_interval(values, study.standard_errors(selection.index), study.level))[:, 0]
+    selection = study.selection
     return {
         "set": selection.name,
         "reason": selection.reason,
         "set_by_the_papers_rule": selection.paper_name,
-        "values": dict(zip(study.names, values, strict=True)),
+        "values": dict(zip(study.names, study.selected.values, strict=True)),
         "intervals": {
             name: ends if np.isfinite(ends).all() else None
             for name, ends in zip(study.names, study.intervals(), strict=True)
         },
-        "half_widths": dict(zip(study.names, half, strict=True)),  # of the intervals: its name until 0.2
     }
 
 
@@ -118,7 +116,6 @@ def _reliability_result(study: Study) -> dict[str, Any]:
             "grade": one.grade,
             "words": one.words,
             "std_error_of_mean": one.std_error,
-            "std_error": one.std_error,  # its name until 0.2
             "reason": one.reason,
         }
         for one in study.reliability
@@ -177,7 +174,6 @@ def identifiability_result(identified: Identifiability) -> dict[str, Any]:
         ],
         "relative_std": dict(zip(identified.names, identified.relative_std, strict=True)),
         "not_identifiable": identified.not_claimable,
-        "not_claimable": identified.not_claimable,  # its name until 0.2
     }
 
 
@@ -246,10 +242,10 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
 
 
 PARAMETER_HEADS = (
-    "set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper", "lower", "upper",
-    "claimable", "at_bound", "status",
+    "set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper", "claimable",
+    "at_bound", "status",
 )  # fmt: skip
-"""Columns of ``parameters.csv``; ``lower`` and ``upper`` are the interval's names until 0.2."""
+"""Columns of ``parameters.csv``."""
 
 
 def write_parameters(path: Path, study: Study) -> None:
@@ -263,7 +259,7 @@ def write_parameters(path: Path, study: Study) -> None:
         errors, intervals = study.standard_errors(i), study.intervals(i)
         for k, (name, value, unit) in enumerate(zip(study.names, result.values, result.units, strict=True)):
             known = bool(np.isfinite(errors[k]))
-            ends = ("" if np.isnan(v) else f"{v:.6g}" for v in (*intervals[k], *intervals[k]))
+            ends = ("" if np.isnan(v) else f"{v:.6g}" for v in intervals[k])
             interval = f"{errors[k]:.6g}" if known else "", *ends
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
@@ -288,16 +284,13 @@ def write_physics(path: Path, found: ArmHybrid) -> None:
             values = {name: fit.system.parameter(name).spec.value for name in one.physics.names}
             for name, unit in zip(one.physics.names, one.physics.units, strict=True):
                 std = known.get(name) if name not in fit.at_bound else None
-                ends = ("",) * 5 if std is None else _ends(values[name], std, level)
+                ends = [""] * 3
+                if std is not None:
+                    interval = normal_interval(np.array(values[name]), np.array(std), level)
+                    ends = [f"{v:.6g}" for v in (std, *interval)]
                 flags = int(std is not None), int(name in fit.at_bound), fit.status
                 rows.append([f"{label}: {words}", chosen, name, f"{values[name]:.10g}", unit, *ends, *flags])
     write_rows(path, PARAMETER_HEADS, rows)
-
-
-def _ends(value: float, std: float, level: float) -> tuple[str, ...]:
-    """A standard error, then the interval's ends twice, as ``parameters.csv`` has them."""
-    low, high = normal_interval(np.array(value), np.array(std), level)
-    return tuple(f"{v:.6g}" for v in (std, low, high, low, high))
 
 
 def write_models(folder: Path, home: Path, study: Study) -> None:

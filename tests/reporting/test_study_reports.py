@@ -263,12 +263,12 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
 
     text = as_json("identify", study_result(study))
     result = json.loads(text, parse_constant=refuse)
-    assert result["selected"]["half_widths"]["J"] is result["selected"]["intervals"]["J"] is None
+    assert result["selected"]["intervals"]["J"] is None
     assert (
         result["reliability"]["J"]["words"] == "not on its own" and result["reliability"]["J"]["grade"] == "D"
     )
-    assert result["reliability"]["F_c"]["std_error_of_mean"] == result["reliability"]["F_c"]["std_error"]
-    assert result["identifiability"]["not_identifiable"] == result["identifiability"]["not_claimable"] != []
+    assert result["reliability"]["F_c"]["std_error_of_mean"] > 0
+    assert result["identifiability"]["not_identifiable"] != []
     assert set(result["nominal_model"]) == {info.name for info in study.system.table}  # held ones, too
     start, spec = result["nominal_model"]["J"], study.system.parameter("J").spec
     assert (start["nominal"], start["lower"], start["prior_std"]) == (spec.value, spec.lower, spec.prior_std)
@@ -279,7 +279,6 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
     assert len(rows) == 2 * len(study.names)
     for row in rows:
         assert (row["claimable"] == "0") == (row["std_error"] == "" == row["interval_lower"])
-        assert [row["interval_lower"], row["interval_upper"]] == [row["lower"], row["upper"]]
         k = study.names.index(row["parameter"])
         i = [r.records[0] for r in study.sets].index(row["set"])
         assert math.isclose(float(row["value"]), study.values[i, k], rel_tol=1e-9)
@@ -316,7 +315,7 @@ def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -
     with (tmp_path / "parameters.csv").open() as file:
         row = list(csv.DictReader(file))[k]
     assert (row["claimable"], row["at_bound"]) == ("0", "1")
-    assert row["std_error"] == row["lower"] == row["upper"] == ""
+    assert row["std_error"] == row["interval_lower"] == row["interval_upper"] == ""
     for index in (0, 1):  # whichever is selected
         chosen = replace(bounded, selection=replace(study.selection, index=index))
         assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen))
