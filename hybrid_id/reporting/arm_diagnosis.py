@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,6 @@ from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of, stem
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
-    Moved,
     asserted,
     called,
     capital,
@@ -51,7 +50,6 @@ from hybrid_id.reporting.style import GREY, journal, new_figure, pixels, plain_l
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
-from hybrid_id.systems.chain import System
 
 PAGE = "report.html"
 MOVED = 6
@@ -202,16 +200,12 @@ def lacks(found: ArmDiagnosis, joint: str) -> str:
     if not one.selected:
         rest = _DIFFERS if one.varying else _VERDICTS[one.verdict]
         return f"a coupled gear; beside it {rest}" if with_gear else rest
+    several = len(one.model.joints) > 1  # of a coupled gear
     return ("a coupled gear; " if with_gear else "") + "; ".join(
-        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}{_which(e, one.model)}, "
-        f"{spot_words(e.name, e.where, one.model)}"
+        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}"
+        f"{f' of {joint_words(e.where, one.model)}' if several else ''}, {spot_words(e.name, e.where, one.model)}"
         for e in asserted(one)
     )
-
-
-def _which(one: RatedEffect, model: System) -> str:
-    """At which of a coupled gear's joints an effect acts; empty where there is one joint."""
-    return f" of {joint_words(one.where, model)}" if len(model.joints) > 1 else ""
 
 
 def joints_table(found: ArmDiagnosis) -> Table:
@@ -321,23 +315,15 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
         one = found.joints[joint]
         more = (*tie_lines(replace(one, ties=groups), brief=True), *experiment_lines(one))
         lines += [f"{joint}: {line}" for line in more]
-    lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
+    # what acts on all joints, which each of them carries, comes once
+    nominal = {info.name: info for one in found.joints.values() for info in one.details.nominal.table}
+    fitted = [(info, *found.estimates.get(name, (0.0, 0.0))) for name, info in nominal.items()]
+    moved = [(info, value, _ends(value, std)) for info, value, std in fitted if std > 0.0]
+    lines += moved_line(((i, v, e) for i, v, e in moved if e is not None), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     if beside := [f"{words_of(one.name)} at {_joint(one)}" for one, _, _ in _by_size(found)[2]]:
         lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
-
-
-def _moved_values(found: ArmDiagnosis) -> Iterator[Moved]:
-    """Parameters of the joints' nominal drives as the fit of all joints has them, with 95 % intervals.
-
-    What acts on all joints, which each of them carries, comes once.
-    """
-    every = {info.name: info for one in found.joints.values() for info in one.details.nominal.table}
-    for name, info in every.items():
-        value, std = found.estimates.get(name, (0.0, 0.0))
-        if 0.0 < std < float("inf"):
-            yield info, value, (value - 1.96 * std, value + 1.96 * std)
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) -> list[str]:
@@ -357,8 +343,8 @@ def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) 
         if (info := infos.get(symbol)) is None:
             continue
         unit, factor = shown_unit(info.unit, outputs)
-        known = info.name in found.estimates and 0.0 < std < float("inf")
-        ends = (factor * (value - 1.96 * std), factor * (value + 1.96 * std)) if known else None
+        known = info.name in found.estimates and std > 0.0
+        ends = _ends(factor * value, factor * std) if known else None
         alone = factor * own.parameters[symbol][0]
         beside = f" [by itself {alone:.4g}]" if ends and not ends[0] <= alone <= ends[1] else ""
         said.append(f"{called(info)} {measured(factor * value, ends, unit)}{beside}")
