@@ -45,7 +45,7 @@ from hybrid_id.machines.twin.demo import DEMO
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.processes import fit_share
-from hybrid_id.systems.model_file import load_model, save_model
+from hybrid_id.systems.model_file import load_model
 
 TRUTH = {"J": 2e-5, "F_c": 0.01, "F_v": 5e-5}
 
@@ -74,12 +74,6 @@ def helps(command: click.Command) -> Iterator[str]:
         yield getattr(parameter, "help", None) or ""
     for below in getattr(command, "commands", {}).values():
         yield from helps(below)
-
-
-def test_two_commands_that_estimate_say_when_to_prefer_the_other(run) -> None:
-    for command, other in (("train", "identify"), ("identify", "train")):
-        words = " ".join(run(command, "--help").out.split())
-        assert "Prefer" in words and f"{other} " in words[words.index("Prefer") :]
 
 
 def test_no_help_has_what_the_terminal_takes_for_markup() -> None:
@@ -352,19 +346,6 @@ def test_simulate_writes_what_the_model_says(
     assert "<h1>model.yaml on" in text and '<p class="lead">model.yaml: NRMSE 0.0' in text
 
 
-def test_compare_says_before_it_that_fits_choose_the_horizon_and_what_they_chose(
-    run, drive: Path, tmp_path: Path
-) -> None:
-    poor = tmp_path / "poor.yaml"
-    save_model(load_model(drive / "model.yaml").with_values({"J": 6e-5}), poor)
-    said = run("compare", drive, "-m", poor, "--out", tmp_path / "auto")
-    assert "free runs over whole records lose them, so up to 7 fits" in said.err
-    chosen = json.loads((tmp_path / "auto" / "result.json").read_text())["horizon"]
-    assert chosen["kind"] == "whole" and "'--window whole' gives it without these fits" in said.err
-    given = run("compare", drive, "-m", poor, "--window", "whole", "--out", tmp_path / "given")
-    assert given.code == 0 and "fits" not in given.err
-
-
 def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
     models = drive / "model.yaml", identified[0] / "model.yaml"
     arguments = [word for model in models for word in ("-m", model)]
@@ -547,16 +528,6 @@ def test_force_never_takes_a_file_that_the_user_has_put_beside_the_results(tmp_p
     assert (out / "notes.txt").read_text() == "mine"
     with pytest.raises(InputError, match=r"notes\.txt is none of the results"):
         refuse_taken(out, force=True)
-
-
-def test_a_training_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) -> None:
-    out, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
-    out.mkdir()
-    (out / BEGUN).write_text("")
-    (out / "config.yaml").write_text("")
-    with live_folder(out, config, force=False, resume=False), added_results(out) as folder:
-        (folder / "result.json").write_text("new")
-    assert (out / "result.json").read_text() == "new"
 
 
 def test_live_folder_brings_the_old_results_back(tmp_path: Path) -> None:
