@@ -19,7 +19,7 @@ from hybrid_id.diagnosis.whole_robot import brought_to
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of, stem
-from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
+from hybrid_id.reporting.diagnosis_figures import MAX_NAME, errors_by_row
 from hybrid_id.reporting.diagnosis_words import (
     asserted,
     called,
@@ -46,7 +46,7 @@ from hybrid_id.reporting.diagnosis_words import (
     words_of,
 )
 from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import GREY, journal, new_figure, pixels, plain_logarithm, shortened
+from hybrid_id.reporting.style import journal, new_figure, pixels, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
@@ -392,22 +392,17 @@ def joints_figure(found: ArmDiagnosis) -> Figure:
     shown = {one: 1e3 / (geared(one, found.model) or 1.0) for one in outputs}
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
-    for name, errors in models.items():
-        values = [shown[output] * errors.rmse[output] for output in outputs]
-        axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
-    for row, output in enumerate(outputs):
-        values = [shown[output] * errors.rmse[output] for errors in models.values()]
-        axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
     numbers = [number_of(output) for output in outputs]
     labels = [
         shortened(names[int(number) - 1], MAX_NAME)
         + (", motor" if numbers.count(number) > 1 and stem(output) == "q_m" else "")
         for output, number in zip(outputs, numbers, strict=True)
     ]
-    axes.set_yticks(range(len(outputs)), labels)
-    axes.set(xscale="log", xlabel="RMSE on the test records [1e-3 rad or m]", ylim=(len(outputs) - 0.5, -0.5))
-    plain_logarithm(axes.xaxis)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
+    values = {
+        name: [shown[output] * errors.rmse[output] for output in outputs] for name, errors in models.items()
+    }
+    errors_by_row(axes, labels, values)
+    axes.set_xlabel("RMSE on the test records [1e-3 rad or m]")
     return figure
 
 

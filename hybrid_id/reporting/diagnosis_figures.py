@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hybrid_id.diagnosis.locate import Location
@@ -117,21 +118,22 @@ def gap_figure(diagnosis: Diagnosis) -> Figure:
     if diagnosis.shrink is not None:
         left.axvline(diagnosis.shrink.floor, color="black", lw=0.8, ls=(0, (4, 2)), label="noise floor")
         left.legend(loc="lower right")
-    for name, errors in models.items():
-        values = [errors.by_record[record] for record in records]
-        right.plot(values, range(len(records)), "o", ms=4.5, color=MODELS[name], label=name)
-    for row, record in enumerate(records):
-        values = [errors.by_record[record] for errors in models.values()]
-        right.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
-    right.set_yticks(range(len(records)), [shortened(record, MAX_NAME) for record in records])
-    right.set(
-        xscale="log",
-        xlabel="NRMSE of each test record, mean of the outputs",
-        ylim=(len(records) - 0.5, -0.5),
-    )
-    plain_logarithm(right.xaxis)
-    right.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
+    values = {name: [errors.by_record[record] for record in records] for name, errors in models.items()}
+    errors_by_row(right, [shortened(record, MAX_NAME) for record in records], values)
+    right.set_xlabel("NRMSE of each test record, mean of the outputs")
     return figure
+
+
+def errors_by_row(axes: Axes, names: Sequence[str], values: Mapping[str, Sequence[float]]) -> None:
+    """A row a record or output: the errors of each model, on a logarithmic axis."""
+    for model, errors in values.items():
+        axes.plot(errors, range(len(names)), "o", ms=4.5, color=MODELS[model], label=model)
+    for row, errors in enumerate(zip(*values.values(), strict=True)):
+        axes.plot([min(errors), max(errors)], [row, row], color=GREY, lw=0.8, zorder=0)
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xscale="log", ylim=(len(names) - 0.5, -0.5))
+    plain_logarithm(axes.xaxis)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
 
 
 @journal()
