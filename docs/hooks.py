@@ -23,7 +23,6 @@ STAGES = {
     "hybrid_id.diagnosis.errors_on_test": "errors Errors shrink Shrink",
     "hybrid_id.diagnosis.details": "Details",
     "hybrid_id.diagnosis.next_experiment": "next_experiment Experiment",
-    "hybrid_id.diagnosis.impulses": "calibrate Detector Pulse",
     "hybrid_id.export.mjcf": "to_mjcf",
     "hybrid_id.export.ranges": "to_ranges",
     "hybrid_id.export.program": "to_program",

@@ -397,7 +397,7 @@ def read_kept(folder: Path) -> None:
 
 
 def result() -> Files:
-    chosen = {"values": {"J": 1e-5}, "half_widths": {"J": 1e-6}}
+    chosen = {"values": {"J": 1e-5}, "intervals": {"J": [9e-6, 1.1e-5]}}
     values = {"program": "hybrid_id 1", "command": "identify", "level": 0.95, "parameters": ["J"], "selected": chosen,
               "sets": [{"values": [1e-5], "status": "converged"}], "reliability": {"J": {"grade": "A", "reason": ""}},
               "profiles": {"J": {"lower": 1e-6, "upper": 2e-5, "closed": [True, True]}}}  # fmt: skip

@@ -104,21 +104,21 @@ def ablation(folder: Path) -> Job:
 
 
 def blind(folder: Path) -> Job:
-    """Cases taken by sparse regression; the result is every answer, the time that it took apart."""
+    """Cases answered by a baseline; the result is every answer, the time that it took apart."""
     cases, sealed = folder / "cases", folder / "elsewhere" / "answers.tar"
     options = {"system": "one_link", "engine": "in_house", "level": "strong", "grading": False}
     make_sealed(cases, sealed, CASES, 3, options, 1)
 
     def result(out: Path) -> Any:
         found = {}
-        for path in sorted(out.glob("sparse/*/diagnosis.json")):
+        for path in sorted(out.glob("stribeck/*/diagnosis.json")):
             said = json.loads(path.read_text())
             found[path.parent.name] = said | {
                 "run": said["run"] | {"seconds": None, "processor_seconds": None}
             }
         return found
 
-    return Job(lambda out: ["blind", "run", str(cases), "--out", str(out), "--method", "sparse"], result)
+    return Job(lambda out: ["blind", "run", str(cases), "--out", str(out), "--method", "stribeck"], result)
 
 
 def make_robot(folder: Path, records: int) -> None:

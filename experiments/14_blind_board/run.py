@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 PARTS, EACH = 20, 12
-METHODS = ("diagnose", "sparse", "network", "stribeck")
+METHODS = ("diagnose", "bic", "stribeck")
 ROOT = Path("runs/board")
 BROKEN = 3
 """Exit code of a run with a case that broke off: it counts as wrong, and the board goes on."""

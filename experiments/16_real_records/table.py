@@ -78,14 +78,9 @@ def _unknown(answer: Mapping[str, Any]) -> str:
 
 
 def _horizon(answer: Mapping[str, Any]) -> str:
-    horizon = answer.get("horizon")
-    if horizon:
-        seconds = horizon.get("seconds")
-        return horizon["kind"] + ("" if seconds is None else f" {seconds:g} s")
-    window = answer.get("window")
-    return f"windows {window:g} s" if window else "whole records"
+    seconds = answer["horizon"].get("seconds")
+    return answer["horizon"]["kind"] + ("" if seconds is None else f" {seconds:g} s")
 
 
 def _implausible(answer: Mapping[str, Any]) -> str:
-    words = answer.get("implausible_parameters", answer.get("bent_parameters")) or []
-    return "; ".join(str(word) for word in words)
+    return "; ".join(map(str, answer.get("implausible_parameters") or []))

@@ -35,14 +35,14 @@ class _Gap(BaseModel):
     shrink_interval: tuple[Share, Share] | None = None
 
 
-class _Place(BaseModel):
+class _Location(BaseModel):
     joint: str | None = Field(default=None, pattern=r"^[^/\s]+$")
-    place: Literal["motor", "load", None] = None
+    side: Literal["motor", "load", None] = None
 
 
 class _Answer(BaseModel):
     unknown: StrictBool
-    unknown_at: _Place | None = None
+    unknown_location: _Location | None = None
     effects: list[_Effect]
     gap: _Gap = Field(default_factory=_Gap)
     verdict: Literal["effects", "parameters_only", "no_gap", "outside_catalogue", "inconclusive", None] = None

@@ -11,11 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hybrid_id.baselines.cma import cma
 from hybrid_id.baselines.external import external
-from hybrid_id.baselines.fitted import bic, diagnosis, stribeck
-from hybrid_id.baselines.network import network
-from hybrid_id.baselines.sparse import sparse
+from hybrid_id.baselines.methods import bic, diagnosis, stribeck
 from hybrid_id.errors import InputError
 from hybrid_id.reading import LARGEST_RESULT, read_bytes, refuse_outside
 from hybrid_id.records.dataset import Dataset
@@ -26,10 +23,7 @@ from hybrid_id.systems.model_file import load_model
 METHODS: Mapping[str, Callable[[Dataset, System], dict[str, Any]]] = {
     "diagnose": diagnosis,
     "bic": bic,
-    "sparse": sparse,
-    "network": network,
     "stribeck": stribeck,
-    "cma": cma,
 }
 
 

@@ -1,11 +1,13 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
+import ast
 import errno
 import itertools
 import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -23,85 +25,12 @@ NAMED = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELO
 """A name that the user gave leads nowhere: no right to go there, too long, below a file, in a circle."""
 
 COMMANDS = {
-    "init": (
-        "init",
-        "Write dataset.yaml and model.yaml for logs: columns, units, signs, sampling and roles, each with its "
-        "evidence.",
-    ),
-    "check": (
-        "check",
-        "Check records: quality, sampling, excitation, and with a model which of its parameters they identify.",
-    ),
-    "excite": (
-        "excite",
-        "Design a multisine of least crest factor and write it as CSV, and beside it as JSON how it was made.",
-    ),
-    "identify": (
-        "identify",
-        "Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.",
-    ),
-    "train": (
-        "train",
-        "Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.",
-    ),
-    "ablate": (
-        "ablate",
-        "Physics only or hybrid? Arms on the same records and seeds, paired differences, and the answer in words.",
-    ),
-    "diagnose": (
-        "diagnose",
-        "Find out why records and the nominal model disagree: which effects explain how much of the gap, and what "
-        "remains.",
-    ),
-    "simulate": (
-        "replay",
-        "Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures.",
-    ),
-    "compare": (
-        "replay",
-        "Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures.",
-    ),
-    "fleet": (
-        "fleet",
-        "Identify many robots of one kind: the fleet's mean and spread, and which robot stands out and why.",
-    ),
-    "export": (
-        "export",
-        "Write a model for MuJoCo, parameter ranges for domain randomisation, or one step as a torch program.",
-    ),
-    "reproduce": (
-        "reproduce",
-        "Reproduce the paper on digital twins: every table and figure, printed values beside ours, on one page.",
-    ),
-    "demo": (
-        "demo",
-        "Identify a drive, or an arm, from simulated records whose truth is known, and show estimates beside the "
-        "truth.",
-    ),
-    "components": (
-        "lists",
-        "List every kind of component with its places, parameters and units, and its law.",
-    ),
-    "effects": (
-        "lists",
-        "List the effects that `diagnose` can name, what each is mistaken for, and what distinguishes the two.",
-    ),
-    "schema": (
-        "schema",
-        "Write the JSON schema of a settings file, for editors: they complete keys, say what they mean and mark "
-        "faults.",
-    ),
-    "doctor": (
-        "doctor",
-        "Show versions, device, threads and compiler, and identify a small drive whose truth is known.",
-    ),
-    "blind": (
-        "blind",
-        "Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses.",
-    ),
-}
-"""Module and first sentence of each command. A module is imported when its command is run: the list of all imports
-none. A test keeps the sentences equal to those that the commands have themselves."""
+    "init": "init", "check": "check", "excite": "excite", "identify": "identify", "train": "train", "ablate": "ablate",
+    "diagnose": "diagnose", "simulate": "replay", "compare": "replay", "fleet": "fleet", "export": "export",
+    "reproduce": "reproduce", "demo": "demo", "components": "lists", "effects": "lists", "schema": "schema",
+    "doctor": "doctor", "blind": "blind",
+}  # fmt: skip
+"""Module of each command, which is imported when its command is run: the list of all imports none."""
 LONGEST_WORD = 400
 """Characters of one word of a message; paths are shorter."""
 THEIRS = {
@@ -116,6 +45,14 @@ class Listed(TyperCommand):
     """A command whose module has not been imported."""
 
 
+def first_sentence(command: str) -> str:
+    """What a command says first in its own help, read from its module without importing it."""
+    tree = ast.parse(Path(__file__).with_name(f"{COMMANDS[command]}.py").read_text(encoding="utf-8"))
+    functions = (part for part in tree.body if isinstance(part, ast.FunctionDef))
+    words = next(ast.get_docstring(f) for f in functions if f.name in (command, f"_{command}")) or ""
+    return " ".join(words.partition("\n\n")[0].split())
+
+
 class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
 
@@ -124,14 +61,14 @@ class Commands(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands.update({name: Listed(name, help=sentence) for name, (_, sentence) in COMMANDS.items()})
+        self.commands.update({name: Listed(name) for name in COMMANDS})
 
     def get_command(self, ctx: typer.Context | None, cmd_name: str) -> Any:  # type: ignore[override]
         """The command of a name, None without one; in the list of all it knows its first sentence alone."""
         found = self.commands.get(cmd_name)
         if self.listing or not isinstance(found, Listed):
             return found
-        work = getattr(import_module(f"hybrid_id.cli.{COMMANDS[cmd_name][0]}"), cmd_name)
+        work = getattr(import_module(f"hybrid_id.cli.{COMMANDS[cmd_name]}"), cmd_name)
         if not isinstance(work, typer.Typer):
             single, work = work, typer.Typer(add_completion=False, rich_markup_mode="rich")
             work.command(cmd_name)(single)
@@ -142,6 +79,9 @@ class Commands(TyperGroup):
     def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
         """Write the list of all commands."""
         self.listing = True
+        for name, command in self.commands.items():
+            if isinstance(command, Listed):
+                command.help = first_sentence(name)
         try:
             super().format_help(ctx, formatter)  # type: ignore[arg-type]
         finally:

@@ -41,10 +41,7 @@ class Method(StrEnum):
 
     diagnose = "diagnose"
     bic = "bic"
-    sparse = "sparse"
-    network = "network"
     stribeck = "stribeck"
-    cma = "cma"
     external = "external"
 
 
@@ -87,7 +84,7 @@ MethodsOption = Annotated[
     list[Method] | None,
     typer.Option(
         "--method",
-        help="diagnose, or a baseline: bic, sparse, network, stribeck, cma; or external. May be repeated.",
+        help="diagnose, or a baseline: bic, stribeck; or external. May be repeated.",
         show_default="diagnose",
     ),
 ]

@@ -549,14 +549,14 @@ def write_scores(runs: Path, content: dict[str, Any], folder: Path | None) -> st
     text, figures = as_json("blind score", content), scoreboard_figures(content)
     with hidden_beside(runs / SCORES) as new:
         for name, figure in figures.items():
-            save(figure.image, new / f"{name}.png")
+            save(figure, new / f"{name}.png")
         blind_page(content, figures).write(new / PAGE)
         (new / BOARD).write_text(markdown(content), encoding="utf-8")
         (new / SCORES).write_text(text + "\n", encoding="utf-8")
         for name in (*(f"{name}.png" for name in figures), PAGE, BOARD, SCORES):
             (new / name).replace(runs / name)
     if folder is not None:
-        file = publish(folder, content, {name: figure.image for name, figure in figures.items()})
+        file = publish(folder, content, figures)
         remark(f"published as {file}, listed in {folder / INDEX}")
     return text
 

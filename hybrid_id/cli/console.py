@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
@@ -105,7 +105,34 @@ def terminated_as_interrupted() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-class FitProgress:
+class _Stoppable:
+    """A bar on stderr during which Ctrl-C is taken by ``_interrupt``, once: the next one ends the command as usual."""
+
+    _bar: Progress
+    _takes = True
+    """Whether Ctrl-C is taken here."""
+    _before: Any = None
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        if self._takes and threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._interrupt)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._restore()
+        self._bar.stop()
+
+    def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
+        raise NotImplementedError
+
+    def _restore(self) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+            self._before = None
+
+
+class FitProgress(_Stoppable):
     """Bar on stderr while a fit runs; an instance is what `identify` takes as `progress`.
 
     The first Ctrl-C asks the fit to end with the values that it has; the second one ends the command.
@@ -122,7 +149,7 @@ class FitProgress:
     """
 
     def __init__(self, n_sets: int, max_iterations: int, *, polite: bool = True) -> None:
-        self._polite = polite
+        self._takes = polite
         self.n_sets, self.max_iterations, self.stopped = n_sets, max_iterations, False
         self.cut = False
         self._bar = bar(
@@ -133,18 +160,7 @@ class FitProgress:
         )
         self._task = self._bar.add_task("start", total=n_sets, left="")
         self._last = (0, 0.0)
-        self._before: Any = None
         self.flag: Path | None = None
-
-    def __enter__(self) -> "FitProgress":
-        self._bar.start()
-        if self._polite and threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._interrupt)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._restore()
-        self._bar.stop()
 
     def __call__(self, stage: str, iteration: int, cost: Any, running: Any) -> bool:
         """Show one iteration; whether the fit shall end."""
@@ -180,13 +196,8 @@ class FitProgress:
             "stopping after this iteration with the values so far; press Ctrl-C again to leave without results"
         )
 
-    def _restore(self) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-            self._before = None
 
-
-class SearchProgress:
+class SearchProgress(_Stoppable):
     """Bar on stderr while the catalogue is searched; an instance is what `diagnose` takes as `progress`.
 
     Once some fits are timed, it says how long a long search will take. Ctrl-C is answered at once, and ends the search.
@@ -207,30 +218,13 @@ class SearchProgress:
         )
         self._task = self._bar.add_task("nominal model", total=None)
         self._stage = ""
-        self._before: Any = None
-
-    def __enter__(self) -> "SearchProgress":
-        self._bar.start()
-        heard = (
-            signal.getsignal(signal.SIGINT) != signal.SIG_IGN
-        )  # not by what a shell has put in its background
-        if heard and threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._interrupt)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._restore()
-        self._bar.stop()
+        # not by what a shell has put in its background
+        self._takes = signal.getsignal(signal.SIGINT) != signal.SIG_IGN
 
     def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
         self._restore()
         remark("stopping; what is complete is written next, and Ctrl-C again leaves that out, too")
         raise KeyboardInterrupt
-
-    def _restore(self) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-            self._before = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show how many fits of a stage are done."""
@@ -239,26 +233,23 @@ class SearchProgress:
             self._bar.reset(self._task, total=total)
         if done == TIMED + 1 and total > TIMED and not self._said:
             self._said = True
-            self._say_how_long(total * (self._clock() - self._since) / TIMED)
+            # of a whole search, if its first step's fits took so long when all were short
+            seconds = self._searches * total * (self._clock() - self._since) / TIMED
+            least, most = ONE * seconds, EACH * self._most * seconds
+            if most > LONG:
+                of = "" if self._searches == 1 else f" of {self._searches} joints"
+                low, high = rough_time(least), rough_time(most)
+                words = f"{low} to {high}"
+                if self._most > 1:
+                    words = f"{low} if one effect explains the gap, and up to about {high} if it goes on to "
+                    words += str(self._most)
+                self._bar.console.print(
+                    f"the search{of} will take about {words}: a guess by its first {TIMED} fits; Ctrl-C keeps what is "
+                    "found",
+                    style="dim", markup=False, soft_wrap=True,
+                )  # fmt: skip
         words = f"{stage}, fit {done} of at most {total}" if total > 1 else stage
         self._bar.update(self._task, description=words, completed=done)
-
-    def _say_how_long(self, seconds: float) -> None:
-        """Say how long the search will take, if its first step's fits took so many seconds when all were short."""
-        seconds *= self._searches
-        least, most = ONE * seconds, EACH * self._most * seconds
-        if most > LONG:
-            of = "" if self._searches == 1 else f" of {self._searches} joints"
-            low, high = rough_time(least), rough_time(most)
-            words = (
-                f"{low} if one effect explains the gap, and up to about {high} if it goes on to {self._most}"
-            )
-            words = words if self._most > 1 else f"{low} to {high}"
-            self._bar.console.print(
-                f"the search{of} will take about {words}: a guess by its first {TIMED} fits; Ctrl-C keeps what is "
-                "found",
-                style="dim", markup=False, soft_wrap=True,
-            )  # fmt: skip
 
 
 def rough_time(seconds: float) -> str:

@@ -61,7 +61,6 @@ def diagnose(
     max_effects: Annotated[
         int | None, typer.Option(help="Effects at most.", min=1, max=sections.MOST_EFFECTS, show_default="3")
     ] = None,
-    most: Annotated[int | None, typer.Option(hidden=True, min=1, max=sections.MOST_EFFECTS)] = None,
     joint: Annotated[
         list[str] | None,
         typer.Option(
@@ -95,8 +94,7 @@ def diagnose(
     Ctrl-C ends the search with what it has found, --resume goes on.
     """
     config = config_of(
-        source, model, out, window, gap__max_effects=most if max_effects is None else max_effects, gap__jobs=jobs,
-        identification__seed=seed,
+        source, model, out, window, gap__max_effects=max_effects, gap__jobs=jobs, identification__seed=seed,
     )  # fmt: skip
     home = required(config.output.folder)
     with kept_fits(home, "diagnosis", force=force, resume=resume, reads=config.reads) as kept:

@@ -213,7 +213,7 @@ def _write(home: Path, robots: Path, model: Path, study: "FleetStudy") -> str:
     with added_results(home, RESULT, ["robots.png", "report.html", "robots.csv", "model.yaml"]) as folder:
         pictures = fleet_pictures(study)
         for name, figure in pictures.items():
-            save(figure.image, folder / f"{name}.png")
+            save(figure, folder / f"{name}.png")
         page = fleet_page(study, pictures)
         how_made(page, "fleet", settings={"robots": robots, "model": model}).write(folder / "report.html")
         write_robots(folder / "robots.csv", study)

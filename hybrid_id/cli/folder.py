@@ -77,7 +77,8 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         same = held.resolve() == path.resolve()
         what = "is what this command reads" if same else f"holds {held}, which this command reads"
         raise InputError(f"{path} {what}; give another folder for the results")
-    if force is not None and not _holds_ours(path):
+    ours = (*(path / name for name in RESULTS), path / FITS / ABOUT)
+    if force is not None and not (path / BEGUN).exists() and not any(map(_is_ours, ours)):
         raise InputError(f"{path} holds {FOREIGN}")
     if not force:
         training = (path / CHECKPOINT).exists()
@@ -114,12 +115,6 @@ def refuse_foreign(path: Path, parts: str, pattern: str) -> None:
 def visible(path: Path) -> list[Path]:
     """What is in a folder, if it is one, but for what a killed run was writing under a temporary name."""
     return [file for file in path.iterdir() if not file.name.startswith(".")] if path.is_dir() else []
-
-
-def _holds_ours(path: Path) -> bool:
-    """Whether a folder holds results, or a training that has begun."""
-    ours = (*(path / name for name in RESULTS), path / FITS / ABOUT)
-    return (path / BEGUN).exists() or any(_is_ours(file) for file in ours)
 
 
 def only_begun(path: Path) -> bool:
@@ -261,27 +256,19 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
     announce(path)
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise InputError(f"{which} is a link or no regular file; give the name of a file of its own")
-    if path.exists() and _is_listed(path):
-        raise InputError(
-            f"{path} is a record of the dataset beside it, which nothing replaces; give another name"
-        )
-
-
-def _is_listed(path: Path) -> bool:
-    """Whether a dataset file beside a file names it as a record, or by a pattern."""
     from hybrid_id.records.dataset_file import FILE_NAME
     from hybrid_id.records.yaml_file import read_yaml
 
-    beside = path.with_name(FILE_NAME)
-    if not beside.is_file() or path.name == FILE_NAME:
-        return False
-    try:
-        records = read_yaml(beside).get("records")
-    except InputError:  # whose fault concerns those alone who use it
-        return False
+    dataset, records = path.with_name(FILE_NAME), None
+    if path.exists() and dataset.is_file():
+        with suppress(InputError):  # a fault of the dataset file concerns those alone who use it
+            records = read_yaml(dataset).get("records")
     entries = records if isinstance(records, list) else []
-    patterns = [one.get("file") for one in entries if isinstance(one, dict)]
-    return any(isinstance(pattern, str) and path.match(pattern) for pattern in patterns)
+    patterns = [entry.get("file") for entry in entries if isinstance(entry, dict)]
+    if any(isinstance(pattern, str) and path.match(pattern) for pattern in patterns):
+        raise InputError(
+            f"{path} is a record of the dataset beside it, which nothing replaces; give another name"
+        )
 
 
 def kind_of(path: Path) -> str:
@@ -318,8 +305,9 @@ def kept_fits(
     from hybrid_id.study import Kept
 
     _refuse_resume_and_force(resume, force)
-    fits = home / FITS
-    kind, (command, file) = _kind(fits), MADE[noun]
+    fits, kind, (command, file) = home / FITS, "", MADE[noun]
+    with suppress(OSError, InputError):  # what has kept fits there
+        kind = str(read_object(fits / ABOUT, "list of fits").get("kind", "diagnosis"))
     if resume and fits.is_dir():
         refuse_foreign(home, FITS, ABOUT)
         if kind not in (noun, ""):
@@ -330,7 +318,8 @@ def kept_fits(
                 f"{home} holds an unfinished {kind}; --resume goes on with it, or give another folder, or --force to "
                 "replace what is in it"
             )
-        if resume and not force and _command(home / file) == command:
+        complete = resume and not force and _is_ours(home / file)
+        if complete and read_object(home / file, "result").get("command") == command:
             remark(
                 f"{home} holds a complete {noun} ({file}), by the settings in its config.yaml: nothing is left to "
                 "resume; --force makes it anew"
@@ -361,19 +350,6 @@ def kept_fits(
             if not kept.count:
                 shutil.rmtree(fits, ignore_errors=True)
                 remove_empty(made)
-
-
-def _kind(fits: Path) -> str:
-    """What has kept fits in a folder: diagnosis or identification; empty where nothing has."""
-    try:
-        return str(read_object(fits / ABOUT, "list of fits").get("kind", "diagnosis"))
-    except (OSError, InputError):
-        return ""
-
-
-def _command(file: Path) -> str:
-    """The command that has written a result; empty where there is none."""
-    return str(read_object(file, "result").get("command", "")) if _is_ours(file) else ""
 
 
 def keep_after(home: Path, folder: Path) -> None:
@@ -436,29 +412,24 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
         path.replace(aside)
         ours = True
     path.mkdir(exist_ok=True)
-    with sole_writer(path), _until_complete(path, aside if ours else None, made, _added(path)):
-        if not resume:
-            (path / BEGUN).write_text(ASIDE if ours else "")
-            config.save(path / SETTINGS)
-        yield
-
-
-@contextmanager
-def _until_complete(path: Path, aside: Path | None, made: list[Path], own: list[Path]) -> Iterator[None]:
-    """Bring back what was put aside when a run ends before its first checkpoint, remove it when one is complete."""
-    try:
-        yield
-    except BaseException:
-        if not (path / CHECKPOINT).exists():
-            shutil.rmtree(path)
-            if aside:
-                aside.replace(path)
-            remove_empty(made)
-        raise
-    (path / BEGUN).unlink(missing_ok=True)
-    _name_files(path, but=own)
-    if aside:
-        shutil.rmtree(aside)
+    with sole_writer(path):
+        own = _added(path)
+        try:
+            if not resume:
+                (path / BEGUN).write_text(ASIDE if ours else "")
+                config.save(path / SETTINGS)
+            yield
+        except BaseException:
+            if not (path / CHECKPOINT).exists():
+                shutil.rmtree(path)
+                if ours:
+                    aside.replace(path)
+                remove_empty(made)
+            raise
+        (path / BEGUN).unlink(missing_ok=True)
+        _name_files(path, but=own)
+        if ours:
+            shutil.rmtree(aside)
 
 
 @contextmanager

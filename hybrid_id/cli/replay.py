@@ -171,6 +171,6 @@ def _write(
             write_replay(folder / f"{replay.record.name}.csv", replay)
     figures = replay_figures(dataset, comparison)
     for name, figure in figures.items():
-        save(figure.image, folder / f"{name}.png")
+        save(figure, folder / f"{name}.png")
     page = replay_page(dataset, comparison, figures, findings=remarks(dataset))
     how_made(page, command, settings=settings).write(folder / "report.html")

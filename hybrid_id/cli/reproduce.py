@@ -64,7 +64,7 @@ def reproduce(
     found = result.claims
     figures = paper_figures(result)
     for name, figure in figures.items():
-        save(figure.image, parts / f"{name}.png")
+        save(figure, parts / f"{name}.png")
     page = parts / "report.html"
     made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
     how_made(paper_page(result, figures, quick=quick), "reproduce", settings=made).write(page)

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.reporting.interactive import Drawn
     from hybrid_id.reporting.page import Page
     from hybrid_id.study import Study
 
@@ -29,8 +28,8 @@ def write_report(
     config: StudyConfig,
     command: str,
     *,
-    figures: Callable[[], dict[str, Drawn]],
-    page: Callable[[dict[str, Drawn]], Page],
+    figures: Callable[[], dict[str, np.ndarray]],
+    page: Callable[[dict[str, np.ndarray]], Page],
     events: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None,
     compute: Callable[[], None] = lambda: None,
     settings: Mapping[str, object] | None = None,
@@ -70,9 +69,9 @@ def write_report(
             new, drawn = Path(temporary), figures()
             if wish.figures:
                 for name, figure in drawn.items():
-                    save(figure.image, new / f"{name}.png")
+                    save(figure, new / f"{name}.png")
             if wish.tensorboard and events is not None:
-                events(new / EVENTS, {name: figure.image for name, figure in drawn.items()})
+                events(new / EVENTS, drawn)
             if wish.report:
                 words = (folder / "config.yaml").read_text(encoding="utf-8")
                 how_made(page(drawn), command, words, settings).write(new / "report.html")
@@ -127,7 +126,7 @@ def write_study(
     write_models(folder, home, study)
     write_parameters(folder / "parameters.csv", study)
 
-    def figures() -> dict[str, Drawn]:
+    def figures() -> dict[str, np.ndarray]:
         runs = replay(dataset, study.selected.system, engine=study.selected.engine, horizon=study.horizon)
         return study_figures(dataset, study, runs)
 

@@ -49,8 +49,9 @@ from hybrid_id.config import Hybrid, Identification, StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.reporting.interactive import Drawn
     from hybrid_id.reporting.page import Page
     from hybrid_id.study.hybrid import HybridStudy
     from hybrid_id.systems.chain import System
@@ -285,7 +286,7 @@ def _hybrid(
     content = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
     text = to_json("train", {"dataset": dataset.name} | content)
 
-    def page(pictures: "dict[str, Drawn]") -> "Page":
+    def page(pictures: "dict[str, np.ndarray]") -> "Page":
         alone = physics_alone(dataset, study, signal_share=share)
         return hybrid_page(dataset, study, pictures, alone=alone, residuals=residuals)
 

@@ -1,8 +1,8 @@
 """The sections of a study file, with all their defaults."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES
 from hybrid_id.records.schema import ResampleEntry
@@ -213,23 +213,13 @@ class Gap(Section):
     """How `diagnose` searches; the seed is that of the identification.
 
     Attributes:
-        max_effects: effects at most; ``most`` in files of 0.1.
+        max_effects: effects at most.
         jobs: processes that share the fits; None for one on each core, up to four, and one alone where the records are
             so long that each would need a gigabyte.
     """
 
     max_effects: Effects = 3
     jobs: Jobs | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _former_name(cls, content: Any) -> Any:
-        """The key ``most`` of study files of 0.1."""
-        if isinstance(content, dict) and "most" in content:
-            content = {k: v for k, v in content.items() if k != "most"} | {
-                "max_effects": content.get("max_effects", content["most"])
-            }
-        return content
 
 
 class Statistics(Section):

@@ -217,14 +217,15 @@ def _nothing() -> ParameterChange:
 def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p).
 
-    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value.
+    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value. One
+    that is zero before and after has not moved and has no size to be relative to: it does not count.
     """
     before = {info.name: info.spec.value for info in nominal.table}
-    kept = [k for k, name in enumerate(fit.names) if name in before]
+    kept = [k for k, name in enumerate(fit.names) if before.get(name) or (name in before and fit.values[k])]
     start = np.array([before[fit.names[k]] for k in kept])
     values = fit.values[kept]
     positive = (start > 0) & (values > 1e-3 * start)
-    size = np.where(positive, np.abs(values), np.maximum(np.maximum(np.abs(values), np.abs(start)), 1e-300))
+    size = np.where(positive, np.abs(values), np.maximum(np.abs(values), np.abs(start)))
     ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
     change = np.where(positive, np.log(ratio), (values - start) / size)
     # the data's own estimate: without the pull of the user's priors towards their means

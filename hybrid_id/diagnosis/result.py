@@ -27,17 +27,6 @@ LIKELY = 0.2
 EFFECT_COLUMNS = [
     "effect", "where", "probability", "share", "share_lower", "share_upper", "selected", "tied_with", "parameters"
 ]  # fmt: skip
-FORMER_KEYS = {
-    "left": "residual_after",
-    "unknown_at": "unknown_location",
-    "courses": "disturbance_location",
-    "bent_parameters": "implausible_parameters",
-    "withdrawn": "rejected",
-    "varying_parameters": "between_record_variation",
-    "cannot_be_told": "not_identifiable",
-    "beyond_training": "extrapolation",
-}
-"""Keys of ``diagnosis.json`` under the names that they had up to 0.1; written beside the new ones for one release."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,16 +219,7 @@ class Diagnosis:
         return self.experiments if self.experiments and self.experiments[-1].distinguishes else ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of ``diagnosis.json``, former keys included."""
-        content = self._content()
-        former = {old: content[new] for old, new in FORMER_KEYS.items()}
-        return (
-            content
-            | former
-            | {"outvoted": [], "halted_elsewhere": self.rest_differs, "window": self.horizon.seconds or None}
-        )
-
-    def _content(self) -> dict[str, Any]:
+        """The content of ``diagnosis.json``."""
         unknown_at = acts_at(self.disturbances) if self.unknown else None
         return {
             "case": self.case,
@@ -289,8 +269,8 @@ class Diagnosis:
         return self._sided(one.joint, one.side) | {"signal": one.signal, "share": max(one.share, 0.0)}
 
     def _sided(self, joint: str | None, side: str | None) -> dict[str, Any]:
-        """A joint and a side of its gear; ``place`` is the side's former key."""
-        return {"joint": joint and self._named(joint), "place": side, "side": side}
+        """A joint and a side of its gear."""
+        return {"joint": joint and self._named(joint), "side": side}
 
 
 def gap_entry(

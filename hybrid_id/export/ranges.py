@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +37,9 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
 
 def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
     selected = (result or {}).get("selected") or {}
-    values, half_widths = selected.get("values") or {}, dict(selected.get("half_widths") or {})
+    values, intervals = selected.get("values") or {}, dict(selected.get("intervals") or {})
     for name in _at_bound(result or {}):  # nothing is claimed there
-        half_widths.pop(name, None)
+        intervals.pop(name, None)
     if result is not None and not values:
         raise InputError(
             "the result holds no identified values; give a folder that 'identify', or 'train' without networks, has "
@@ -63,9 +62,9 @@ def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
     ranges = {}
     for info in system.table:
         name, spec = info.name, info.spec
-        claimed = _claimed(spec, half_widths.get(name), known.get("profiles", {}).get(name))
+        claimed = _claimed(intervals.get(name), known.get("profiles", {}).get(name))
         spread = [s[name] for s in sets if name in s]
-        grade = known.get("reliability", known.get("trust", {})).get(name, {}).get("grade")
+        grade = known.get("reliability", {}).get(name, {}).get("grade")
         low, high, source = _range(spec, claimed, spread, float(ndtri(0.5 + level / 2)), name in values)
         ranges[name] = {
             "nominal": spec.value,
@@ -74,7 +73,6 @@ def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
             "unit": info.unit,
             "from": source,
             "reliability": grade,
-            "trust": grade,  # the former name, for one release
             "component": info.component,
         }
     return {"level": level, "parameters": ranges}
@@ -89,13 +87,13 @@ def _at_bound(result: Mapping[str, Any]) -> list[str]:
 
 
 def _claimed(
-    spec: Bounded, half_width: float | None, profile: Mapping[str, Any] | None
+    interval: Sequence[float] | None, profile: Mapping[str, Any] | None
 ) -> tuple[float, float, str] | None:
     """Ends of the interval that an identification claims, and by what; None where it claims none."""
     if profile is not None and all(profile["closed"]):
         return profile["lower"], profile["upper"], "profile"
-    if half_width is not None and math.isfinite(half_width):
-        return spec.value - half_width, spec.value + half_width, "interval"
+    if interval is not None:
+        return interval[0], interval[1], "interval"
     return None
 
 

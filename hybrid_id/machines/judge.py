@@ -154,7 +154,7 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         false_alarm=(bool(chosen) or unknown) if family in SOUND and not broken else None,
         values=_values(said, answers) if family in SOUND and not broken else None,
         outside=unknown if not known else None,
-        outside_at=_acts_there(said.get("unknown_at") or {}, truth[0]) if unknown and not known else None,
+        outside_at=_acts_there(said.get("unknown_location") or {}, truth[0]) if unknown and not known else None,
         false_unknown=unknown if known and not broken else None,
         claims=_claims(ranked, truth),
         shrink_error=error,
@@ -262,7 +262,7 @@ def _acts_there(claimed: Said, truth: Truth) -> bool | None:
         return None
     places = [where.split("/") for where in truth["accept_where"]]
     return any(
-        joint == claimed["joint"] and claimed.get("place") in (None, "load" if place in LINK else "motor")
+        joint == claimed["joint"] and claimed.get("side") in (None, "load" if place in LINK else "motor")
         for joint, place in places
     )
 

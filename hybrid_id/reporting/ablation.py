@@ -14,9 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, plain_logarithm
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, plain_logarithm
 from hybrid_id.reporting.tables import count, records_table, table
 from hybrid_id.study.ablation_result import HYBRID, OPEN, SETS, Ablation, Scores, answer, signed, verdict
 
@@ -166,7 +165,7 @@ _HOW = (
 _TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}
 
 
-def ablation_pictures(result: Ablation) -> dict[str, Drawn]:
+def ablation_pictures(result: Ablation) -> dict[str, np.ndarray]:
     """Figures by the name of their file; those that would be empty are left out."""
     figures = {}
     if any(np.isfinite(result.physics.errors[name]).any() for name in _TITLES):
@@ -175,7 +174,7 @@ def ablation_pictures(result: Ablation) -> dict[str, Drawn]:
         figures["change"] = change_figure(result)
     if result.ladder:
         figures["prices"] = prices_figure(result)
-    return {name: drawn(figure) for name, figure in figures.items()}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 @journal()
@@ -263,7 +262,7 @@ def _colour(scores: Scores) -> str:
     return COLOURS[0] if scores.arm.hybrid else COLOURS[1] if scores.arm.width else GREY
 
 
-def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, Drawn]) -> Page:
+def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.ndarray]) -> Page:
     """The page.
 
     Args:

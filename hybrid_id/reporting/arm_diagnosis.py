@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -18,9 +19,8 @@ from hybrid_id.diagnosis.whole_robot import brought_to
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of, stem
-from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
+from hybrid_id.reporting.diagnosis_figures import MAX_NAME, errors_by_row
 from hybrid_id.reporting.diagnosis_words import (
-    Moved,
     asserted,
     called,
     capital,
@@ -45,13 +45,11 @@ from hybrid_id.reporting.diagnosis_words import (
     unmeasured,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
+from hybrid_id.reporting.style import journal, new_figure, pixels, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
-from hybrid_id.systems.chain import System
 
 PAGE = "report.html"
 MOVED = 6
@@ -202,16 +200,12 @@ def lacks(found: ArmDiagnosis, joint: str) -> str:
     if not one.selected:
         rest = _DIFFERS if one.varying else _VERDICTS[one.verdict]
         return f"a coupled gear; beside it {rest}" if with_gear else rest
+    several = len(one.model.joints) > 1  # of a coupled gear
     return ("a coupled gear; " if with_gear else "") + "; ".join(
-        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}{_which(e, one.model)}, "
-        f"{spot_words(e.name, e.where, one.model)}"
+        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}"
+        f"{f' of {joint_words(e.where, one.model)}' if several else ''}, {spot_words(e.name, e.where, one.model)}"
         for e in asserted(one)
     )
-
-
-def _which(one: RatedEffect, model: System) -> str:
-    """At which of a coupled gear's joints an effect acts; empty where there is one joint."""
-    return f" of {joint_words(one.where, model)}" if len(model.joints) > 1 else ""
 
 
 def joints_table(found: ArmDiagnosis) -> Table:
@@ -321,23 +315,15 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
         one = found.joints[joint]
         more = (*tie_lines(replace(one, ties=groups), brief=True), *experiment_lines(one))
         lines += [f"{joint}: {line}" for line in more]
-    lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
+    # what acts on all joints, which each of them carries, comes once
+    nominal = {info.name: info for one in found.joints.values() for info in one.details.nominal.table}
+    fitted = [(info, *found.estimates.get(name, (0.0, 0.0))) for name, info in nominal.items()]
+    moved = [(info, value, _ends(value, std)) for info, value, std in fitted if std > 0.0]
+    lines += moved_line(((i, v, e) for i, v, e in moved if e is not None), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     if beside := [f"{words_of(one.name)} at {_joint(one)}" for one, _, _ in _by_size(found)[2]]:
         lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
-
-
-def _moved_values(found: ArmDiagnosis) -> Iterator[Moved]:
-    """Parameters of the joints' nominal drives as the fit of all joints has them, with 95 % intervals.
-
-    What acts on all joints, which each of them carries, comes once.
-    """
-    every = {info.name: info for one in found.joints.values() for info in one.details.nominal.table}
-    for name, info in every.items():
-        value, std = found.estimates.get(name, (0.0, 0.0))
-        if 0.0 < std < float("inf"):
-            yield info, value, (value - 1.96 * std, value + 1.96 * std)
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) -> list[str]:
@@ -357,8 +343,8 @@ def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) 
         if (info := infos.get(symbol)) is None:
             continue
         unit, factor = shown_unit(info.unit, outputs)
-        known = info.name in found.estimates and 0.0 < std < float("inf")
-        ends = (factor * (value - 1.96 * std), factor * (value + 1.96 * std)) if known else None
+        known = info.name in found.estimates and std > 0.0
+        ends = _ends(factor * value, factor * std) if known else None
         alone = factor * own.parameters[symbol][0]
         beside = f" [by itself {alone:.4g}]" if ends and not ends[0] <= alone <= ends[1] else ""
         said.append(f"{called(info)} {measured(factor * value, ends, unit)}{beside}")
@@ -391,9 +377,9 @@ def arm_table(found: ArmDiagnosis) -> RenderableType:
     return Group(*parts)
 
 
-def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
+def arm_figures(found: ArmDiagnosis) -> dict[str, np.ndarray]:
     """Every picture by the name of its file."""
-    return {"joints": drawn(joints_figure(found))} if found.model_errors is not None else {}
+    return {"joints": pixels(joints_figure(found))} if found.model_errors is not None else {}
 
 
 @journal()
@@ -406,28 +392,23 @@ def joints_figure(found: ArmDiagnosis) -> Figure:
     shown = {one: 1e3 / (geared(one, found.model) or 1.0) for one in outputs}
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
-    for name, errors in models.items():
-        values = [shown[output] * errors.rmse[output] for output in outputs]
-        axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
-    for row, output in enumerate(outputs):
-        values = [shown[output] * errors.rmse[output] for errors in models.values()]
-        axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
     numbers = [number_of(output) for output in outputs]
     labels = [
         shortened(names[int(number) - 1], MAX_NAME)
         + (", motor" if numbers.count(number) > 1 and stem(output) == "q_m" else "")
         for output, number in zip(outputs, numbers, strict=True)
     ]
-    axes.set_yticks(range(len(outputs)), labels)
-    axes.set(xscale="log", xlabel="RMSE on the test records [1e-3 rad or m]", ylim=(len(outputs) - 0.5, -0.5))
-    plain_logarithm(axes.xaxis)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
+    values = {
+        name: [shown[output] * errors.rmse[output] for output in outputs] for name, errors in models.items()
+    }
+    errors_by_row(axes, labels, values)
+    axes.set_xlabel("RMSE on the test records [1e-3 rad or m]")
     return figure
 
 
 def arm_page(
     found: ArmDiagnosis,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     pages: Mapping[str, str],
     *,
     findings: Sequence[Finding] = (),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -43,13 +44,11 @@ from hybrid_id.reporting.diagnosis_words import (
     where_line,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page, Section
 from hybrid_id.reporting.residuals import residual_blocks
 from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_cells
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import shown_unit
-from hybrid_id.study import Study
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
@@ -116,19 +115,15 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
         unit, factor = shown_unit(info.unit, last.outputs)
-        cells = [cell for one in studies for cell in _estimate(one, name, factor)]
+        cells = []
+        for one in studies:
+            known = name in one.names
+            ends = factor * one.intervals(0)[one.names.index(name)] if known else ()
+            cells += [_value(one.selected_model, name, factor), interval_words(*ends) if known else ""]
         word, *more = reliability_cells(last, name) if name in last.names else [""]
         rows.append((name, word, _value(nominal, name, factor), *cells, unit, info.doc, *more))
     judged = ("unit", "meaning", "lower bound>", "upper bound>", "why")
     return table(("parameter", "reliability", "nominal>", *heads, *judged), rows)
-
-
-def _estimate(study: Study, name: str, factor: float) -> tuple[str, str]:
-    """Value of a parameter in a fitted model times a factor, and its interval."""
-    text = _value(study.selected_model, name, factor)
-    if name not in study.names:
-        return text, ""
-    return text, interval_words(*(factor * study.intervals(0)[study.names.index(name)]))
 
 
 def _value(system: System, name: str, factor: float) -> str:
@@ -195,7 +190,7 @@ _NO_TEST = (
 
 def diagnosis_page(
     diagnosis: Diagnosis,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     *,
     max_effects: int | None = None,
     findings: Sequence[Finding] = (),
@@ -224,8 +219,32 @@ def diagnosis_page(
             if name in figures:
                 section.figure(figures[name], captions[name])
 
-    _add_effects(page, diagnosis, picture, max_effects, robot)
-    _add_location(page, diagnosis, picture)
+    effects = page.section("Effects")
+    if robot:
+        effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
+    picture(effects, "shares")
+    shown = max(sum(one.selected or one.probability >= LIKELY for one in diagnosis.effects), SHOWN)
+    effects.add(effects_table(diagnosis, shown), *map(capital, value_lines(diagnosis)))
+    picture(effects, *(_TORQUES if diagnosis.selected else ()))
+    remarks = (
+        *varying_lines(diagnosis),
+        *rejected_lines(diagnosis),
+        *extrapolation_lines(diagnosis),
+        *failed_lines(diagnosis),
+        *caution_lines(diagnosis, max_effects),
+    )
+    effects.add(*map(capital, remarks))
+    if others := sorted({words_of(one.name) for one in diagnosis.effects[shown:]}):
+        effects.add(capital(f"also tried, none of them more probable: {', '.join(others)}."))
+    if diagnosis.ties:
+        effects.add(Text(_TIED, style="yellow"))
+    picture(effects, "candidates")
+    effects.add(f"{_HOW} {_BASE_RATE}" if robot else _HOW)
+    location = page.section("Location").add(capital(where_line(diagnosis) or _NOWHERE))
+    picture(location, *(() if diagnosis.selected else _TORQUES))
+    if words := disturbance_line(diagnosis):
+        location.add(capital(words))
+    picture(location, "location", "reversals")
     tests = page.section("Test records").add(*map(capital, error_lines(diagnosis)))
     picture(tests, "gap", "worst_record")
     page.section("Parameters").add(
@@ -253,41 +272,3 @@ def diagnosis_page(
     if findings:
         records.add(findings_list(findings))
     return page
-
-
-def _add_effects(
-    page: Page, diagnosis: Diagnosis, picture: Callable[..., None], max_effects: int | None, robot: str
-) -> None:
-    """The section on the effects: shares, sizes, what was rejected and tried, and the way back to the robot's page."""
-    shown = max(sum(one.selected or one.probability >= LIKELY for one in diagnosis.effects), SHOWN)
-    remarks = (
-        *varying_lines(diagnosis),
-        *rejected_lines(diagnosis),
-        *extrapolation_lines(diagnosis),
-        *failed_lines(diagnosis),
-        *caution_lines(diagnosis, max_effects),
-    )
-    effects = page.section("Effects")
-    if robot:
-        effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
-    picture(effects, "shares")
-    values = value_lines(diagnosis)
-    effects.add(effects_table(diagnosis, shown), *map(capital, values))
-    picture(effects, *(_TORQUES if diagnosis.selected else ()))
-    effects.add(*map(capital, remarks))
-    others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
-    if others:
-        effects.add(capital(f"also tried, none of them more probable: {', '.join(others)}."))
-    if diagnosis.ties:
-        effects.add(Text(_TIED, style="yellow"))
-    picture(effects, "candidates")
-    effects.add(f"{_HOW} {_BASE_RATE}" if robot else _HOW)
-
-
-def _add_location(page: Page, diagnosis: Diagnosis, picture: Callable[..., None]) -> None:
-    """The section on where a torque is missing."""
-    location = page.section("Location").add(capital(where_line(diagnosis) or _NOWHERE))
-    picture(location, *(() if diagnosis.selected else _TORQUES))
-    if words := disturbance_line(diagnosis):
-        location.add(capital(words))
-    picture(location, "location", "reversals")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hybrid_id.diagnosis.locate import Location
@@ -22,7 +23,6 @@ from hybrid_id.reporting.diagnosis_words import (
     side_words,
     words_of,
 )
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.study_figures import comparison_figure
 from hybrid_id.reporting.style import (
     COLOURS,
@@ -31,6 +31,7 @@ from hybrid_id.reporting.style import (
     journal,
     legend_above,
     new_figure,
+    pixels,
     plain_logarithm,
     power_of_ten,
     scaled_unit,
@@ -49,7 +50,7 @@ MAX_NAME = 16
 MODELS = {"nominal": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2]}
 
 
-def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
+def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
     """Every picture of a diagnosis by the name of its file."""
     details = diagnosis.details
     outputs = with_joint_names(details.dataset.outputs, diagnosis.model)
@@ -73,7 +74,7 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
         figures["candidates"] = candidates_figure(diagnosis)
     worst = details.worst_record
     figures["worst_record"] = comparison_figure(dataset, worst, worst.records[0])
-    return {name: drawn(figure) for name, figure in figures.items()}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 @journal()
@@ -117,21 +118,22 @@ def gap_figure(diagnosis: Diagnosis) -> Figure:
     if diagnosis.shrink is not None:
         left.axvline(diagnosis.shrink.floor, color="black", lw=0.8, ls=(0, (4, 2)), label="noise floor")
         left.legend(loc="lower right")
-    for name, errors in models.items():
-        values = [errors.by_record[record] for record in records]
-        right.plot(values, range(len(records)), "o", ms=4.5, color=MODELS[name], label=name)
-    for row, record in enumerate(records):
-        values = [errors.by_record[record] for errors in models.values()]
-        right.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
-    right.set_yticks(range(len(records)), [shortened(record, MAX_NAME) for record in records])
-    right.set(
-        xscale="log",
-        xlabel="NRMSE of each test record, mean of the outputs",
-        ylim=(len(records) - 0.5, -0.5),
-    )
-    plain_logarithm(right.xaxis)
-    right.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
+    values = {name: [errors.by_record[record] for record in records] for name, errors in models.items()}
+    errors_by_row(right, [shortened(record, MAX_NAME) for record in records], values)
+    right.set_xlabel("NRMSE of each test record, mean of the outputs")
     return figure
+
+
+def errors_by_row(axes: Axes, names: Sequence[str], values: Mapping[str, Sequence[float]]) -> None:
+    """A row a record or output: the errors of each model, on a logarithmic axis."""
+    for model, errors in values.items():
+        axes.plot(errors, range(len(names)), "o", ms=4.5, color=MODELS[model], label=model)
+    for row, errors in enumerate(zip(*values.values(), strict=True)):
+        axes.plot([min(errors), max(errors)], [row, row], color=GREY, lw=0.8, zorder=0)
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xscale="log", ylim=(len(names) - 0.5, -0.5))
+    plain_logarithm(axes.xaxis)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
 
 
 @journal()

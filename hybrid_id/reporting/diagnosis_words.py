@@ -12,7 +12,7 @@ from hybrid_id.diagnosis.changes import NOMINAL
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
 from hybrid_id.diagnosis.grade import NEGLIGIBLE, Interval, RatedEffect
-from hybrid_id.diagnosis.locate import HISTORY, IN_WORDS, Location, acts_at
+from hybrid_id.diagnosis.locate import HISTORY, IN_WORDS, acts_at
 from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
@@ -58,10 +58,15 @@ def headline(diagnosis: Diagnosis) -> str:
 def _effects(diagnosis: Diagnosis) -> str:
     chosen = asserted(diagnosis)
     said = [
-        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(one)})"
+        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
+        f"({f'{between}; ' if (between := share_interval(one)) else ''}{sure_words(one)})"
         for k, one in enumerate(chosen)
     ]
-    sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
+    rest = "nothing structural remains"
+    if diagnosis.remainder >= NEGLIGIBLE:
+        interval = range_percent(diagnosis.remainder_interval)
+        rest = f"{percent(diagnosis.remainder)} ({interval}) remains unexplained{_acting(diagnosis)}"
+    sentence = f"{capital(joined(said))} of the gap; {rest}."
     if diagnosis.unknown:
         more = diagnosis.remainder >= sum(one.share or 0.0 for one in diagnosis.selected)
         least = f"At least {percent(diagnosis.remainder_interval[0])} of the gap has another cause"
@@ -84,20 +89,10 @@ def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
     return [one for one in diagnosis.selected if not one.negligible] or list(diagnosis.selected)
 
 
-def _sure(one: RatedEffect) -> str:
-    """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
-    share = f"{between}; " if (between := share_interval(one)) else ""
-    return f"{share}{sure_words(one)}"
-
-
 def sure_words(one: RatedEffect) -> str:
     """The probability of an effect, or of one that it is indistinguishable from."""
-    return f"probability{' of one of them' if one.tied_with else ''} {probability_words(one.together)}"
-
-
-def probability_words(value: float) -> str:
-    """A probability, which is never said to be one."""
-    return "above 0.99" if value > 0.99 else f"{value:.2f}"
+    value = "above 0.99" if one.together > 0.99 else f"{one.together:.2f}"  # never said to be one
+    return f"probability{' of one of them' if one.tied_with else ''} {value}"
 
 
 def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:
@@ -112,38 +107,21 @@ def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:
     return words + (" (indistinguishable on these records)" if len(names) > 1 else "")
 
 
-def _remains(diagnosis: Diagnosis) -> str:
-    """The unexplained share, its interval, and where it acts and on what it depends where that is identified."""
-    if diagnosis.remainder < NEGLIGIBLE:
-        return "nothing structural remains"
-    interval = range_percent(diagnosis.remainder_interval)
-    return f"{percent(diagnosis.remainder)} ({interval}) remains unexplained{_acting(diagnosis)}"
-
-
 def _acting(diagnosis: Diagnosis) -> str:
     """Where what remains acts and on what it depends, as far as the records identify that."""
     joint, side = acts_at(diagnosis.disturbances)
     if joint is None:
         return ""
-    one = _signal(diagnosis, joint, side)
-    words = f", at {joint_words(joint, diagnosis.model)}" + (
-        f", on the {SIDES[side]}" if side in SIDES else ""
-    )
-    if one is None:
-        return words
-    return words + (f" ({IN_WORDS[one.signal]})" if one.signal in IN_WORDS else f", with the {one.signal}")
-
-
-def _signal(diagnosis: Diagnosis, joint: str, side: str | None) -> Location | None:
-    """The torque over one signal that explains most of what remains at a place; None where none explains a tenth."""
-    return next(
-        (
-            one
-            for one in diagnosis.residual_after
-            if one.joint == joint and side in (None, one.side) and one.share > CRITERIA.substantial
-        ),
-        None,
-    )
+    words = f", at {joint_words(joint, diagnosis.model)}"
+    words += f", on the {SIDES[side]}" if side in SIDES else ""
+    for (
+        one
+    ) in diagnosis.residual_after:  # the torque over one signal that explains most there, if it does a tenth
+        if one.joint == joint and side in (None, one.side) and one.share > CRITERIA.substantial:
+            return words + (
+                f" ({IN_WORDS[one.signal]})" if one.signal in IN_WORDS else f", with the {one.signal}"
+            )
+    return words
 
 
 def _outside(diagnosis: Diagnosis) -> str:
@@ -244,9 +222,16 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     last = diagnosis.with_effect if diagnosis.corrected else None
     records = count(len(nominal.by_record), "test record")
     models = [one for one in (nominal, refit, last) if one is not None]
-    outputs = "; ".join(_errors_words(diagnosis, output, models) for output in nominal.by_output)
+    system, channels = diagnosis.details.nominal, diagnosis.details.dataset.outputs
+    titles = {channel.name: channel.title for channel in with_joint_names(channels, system)}
+    outputs = []
+    for output in nominal.by_output:
+        names = ("nominal", "re-fitted", "corrected")
+        said = [f"{name} {one.by_output[output]:.3g}" for name, one in zip(names, models, strict=False)]
+        *values, unit = in_unit(output, [one.rmse[output] for one in models], channels, system)
+        outputs.append(f"{titles[output]} {', '.join(said)} (RMSE {', '.join(values)} {unit})")
     floor = "noise floor, by repeated records," if gap.repeated else "noise floor"
-    lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; {floor} {gap.floor:.3g}."]
+    lines = [f"NRMSE on {records}, {diagnosis.horizon}: {'; '.join(outputs)}; {floor} {gap.floor:.3g}."]
     if last is not None:
         lines.append(shrink_line(gap))
     else:
@@ -280,16 +265,6 @@ def shrink_line(gap: Shrink) -> str:
     low, high = (round(100 * min(end, 1.0)) for end in gap.interval)
     between = "-" if low >= 0 else " to "
     return f"shrink of the gap on them: {percent(gap.share)} ({low}{between}{high} %)."
-
-
-def _errors_words(diagnosis: Diagnosis, output: str, models: Sequence[Errors]) -> str:
-    """Normalised errors of the models in one output, then the errors in the unit that was logged."""
-    system, channels = diagnosis.details.nominal, diagnosis.details.dataset.outputs
-    names = ("nominal", "re-fitted", "corrected")
-    said = [f"{name} {one.by_output[output]:.3g}" for name, one in zip(names, models, strict=False)]
-    *values, unit = in_unit(output, [one.rmse[output] for one in models], channels, system)
-    titles = {channel.name: channel.title for channel in with_joint_names(channels, system)}
-    return f"{titles[output]} {', '.join(said)} (RMSE {', '.join(values)} {unit})"
 
 
 def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
@@ -458,11 +433,15 @@ def moved_line(values: Iterable[Moved], channels: Sequence[Channel], most: int |
     Those that moved by less than nominal values are known to (2 %) are counted, and so are those after the first
     ``most``.
     """
+
+    def share(one: Moved) -> float:
+        return abs(one[1] - one[0].spec.value) / max(abs(one[0].spec.value), 1e-300)
+
     away = [one for one in values if not one[2][0] <= one[0].spec.value <= one[2][1]]
-    far = [one for one in away if _moved(one) >= NOMINAL]
+    far = [one for one in away if share(one) >= NOMINAL]
     if not far:
         return []
-    far.sort(key=_moved, reverse=True)
+    far.sort(key=share, reverse=True)
     said = []
     for info, value, ends in far[:most]:
         unit, factor = shown_unit(info.spec.unit, channels)
@@ -475,11 +454,6 @@ def moved_line(values: Iterable[Moved], channels: Sequence[Channel], most: int |
         f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Take fitted values that lie within "
         "data-sheet tolerance; others are suspect."
     ]
-
-
-def _moved(one: Moved) -> float:
-    """By what share of its nominal value a parameter has moved."""
-    return abs(one[1] - one[0].spec.value) / max(abs(one[0].spec.value), 1e-300)
 
 
 def moved_values(diagnosis: Diagnosis) -> Iterator[Moved]:

@@ -12,10 +12,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.results import write_rows
-from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure, unit
+from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure, pixels, unit
 from hybrid_id.reporting.tables import count, interval_words, table
 from hybrid_id.study.fleet import FleetStudy
 
@@ -191,7 +190,7 @@ def write_robots(path: Path, study: FleetStudy) -> None:
     write_rows(path, CSV_HEADS, rows)
 
 
-def fleet_page(study: FleetStudy, pictures: dict[str, Drawn]) -> Page:
+def fleet_page(study: FleetStudy, pictures: dict[str, np.ndarray]) -> Page:
     """The whole result as one page."""
     first, *others = verdict(study)
     page = Page("Fleet", first)
@@ -211,9 +210,9 @@ def fleet_page(study: FleetStudy, pictures: dict[str, Drawn]) -> Page:
     return page
 
 
-def fleet_pictures(study: FleetStudy) -> dict[str, Drawn]:
+def fleet_pictures(study: FleetStudy) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
-    return {"robots": drawn(robots_figure(study))}
+    return {"robots": pixels(robots_figure(study))}
 
 
 @journal()

@@ -13,11 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.residuals import Residuals, residual_blocks
 from hybrid_id.reporting.study import LEGEND, bound_cells, reliability_cells
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, symbol
 from hybrid_id.reporting.tables import count, interval_words, records_table, table
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
@@ -58,7 +57,6 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
         ],
         "error_with_one_set": study.pooled,
         "error_with_per_record_fits": study.own,
-        "error_with_own_sets": study.own,  # its name until 0.2
         "weighted_error": {n: {"physics": a, "hybrid": b} for n, (a, b) in study.errors.items()},
         "warnings": study.warnings,
     }  # fmt: skip
@@ -171,11 +169,11 @@ def map_figure(role: NetworkRole) -> Figure:
     return figure
 
 
-def hybrid_pictures(study: HybridStudy) -> dict[str, Drawn]:
+def hybrid_pictures(study: HybridStudy) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
     figures = {"drift": drift_figure(study)} if study.result.chosen else {}
     figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
-    return {name: drawn(figure) for name, figure in figures.items()}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 _LADDER = (
@@ -213,7 +211,7 @@ def _lead(study: HybridStudy) -> str:
 def hybrid_page(
     dataset: Dataset,
     study: HybridStudy,
-    pictures: Mapping[str, Drawn],
+    pictures: Mapping[str, np.ndarray],
     *,
     alone: Study,
     residuals: Residuals,

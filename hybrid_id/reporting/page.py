@@ -16,7 +16,6 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id import __version__
-from hybrid_id.reporting.interactive import Drawn, Plot, as_script, library
 from hybrid_id.reporting.provenance import program
 from hybrid_id.reporting.style import png
 
@@ -34,7 +33,7 @@ Cell = tuple[str, str]
 
 @dataclass(frozen=True)
 class Block:
-    """One thing on the page, by ``kind``: text, links, table, code or picture; pictures may have a ``plot``."""
+    """One thing on the page, by ``kind``: text, links, table, code or picture."""
 
     kind: str
     text: str = ""
@@ -42,7 +41,6 @@ class Block:
     heads: tuple[Cell, ...] = ()
     rows: tuple[tuple[Cell, ...], ...] = ()
     source: str = ""
-    plot: str = ""
 
 
 @dataclass
@@ -75,25 +73,11 @@ class Section:
         self.blocks.append(Block("code", caption, source=text))
         return self
 
-    def picture(self, image: np.ndarray, caption: str, plot: Plot | None = None) -> Section:
-        """Append an image, (H, W, 3) uint8, with its caption, which also serves readers who cannot see it.
-
-        Where there is a ``plot``, a button under the image puts its interactive form in its place.
-        """
+    def figure(self, image: np.ndarray, caption: str) -> Section:
+        """Append an image, (H, W, 3) uint8, with its caption, which also serves readers who cannot see it."""
         data = base64.b64encode(png(image)).decode("ascii")
-        self.blocks.append(
-            Block(
-                "picture",
-                caption,
-                source=f"data:image/png;base64,{data}",
-                plot=as_script(plot) if plot else "",
-            )
-        )
+        self.blocks.append(Block("picture", caption, source=f"data:image/png;base64,{data}"))
         return self
-
-    def figure(self, figure: Drawn, caption: str) -> Section:
-        """Append a figure with its interactive form."""
-        return self.picture(figure.image, caption, figure.plot)
 
 
 @dataclass
@@ -117,9 +101,7 @@ class Page:
 
     def html(self) -> str:
         """The page as text; everything that came from the user is escaped."""
-        live = any(block.plot for section in self.sections for block in section.blocks)
-        script = library() if live else ""
-        return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__, library=script)
+        return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__)
 
     def write(self, path: Path) -> None:
         """Write the page."""

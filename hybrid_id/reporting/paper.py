@@ -11,9 +11,18 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.machines.twin import paper
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page, Section
-from hybrid_id.reporting.style import COLOURS, DASHES, GREY, journal, legend_above, new_figure, pad, unit
+from hybrid_id.reporting.style import (
+    COLOURS,
+    DASHES,
+    GREY,
+    journal,
+    legend_above,
+    new_figure,
+    pad,
+    pixels,
+    unit,
+)
 from hybrid_id.reporting.tables import table
 from hybrid_id.reproduction.claims import Claim
 from hybrid_id.reproduction.comparison import (
@@ -284,7 +293,7 @@ SCALE = (
 )
 
 
-def paper_figures(result: Reproduction) -> dict[str, Drawn]:
+def paper_figures(result: Reproduction) -> dict[str, np.ndarray]:
     """Every figure by the name of its file."""
     one, both = result.tracking["one_link"], result.tracking["both_links"]
     rigid = result.friction("link1", r"$\tau_\mathrm{f}$, rigid")
@@ -311,10 +320,10 @@ def paper_figures(result: Reproduction) -> dict[str, Drawn]:
         "figure_14": friction_figure(second),
         "tracking_spread": spread_figure(spread),
     }
-    return {name: drawn(figure) for name, figure in figures.items()}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
-def paper_page(result: Reproduction, figures: Mapping[str, Drawn], *, quick: bool = False) -> Page:
+def paper_page(result: Reproduction, figures: Mapping[str, np.ndarray], *, quick: bool = False) -> Page:
     """The page.
 
     Args:
@@ -381,7 +390,7 @@ def _stage(section: Section, stage: str, result: Reproduction) -> None:
         section.add(DRIFT)
 
 
-def _pictures(section: Section, stage: str, figures: Mapping[str, Drawn]) -> None:
+def _pictures(section: Section, stage: str, figures: Mapping[str, np.ndarray]) -> None:
     captions = {
         "link1": {
             "figure_04": "Fig. 4. Three models follow a sine (left), and their tracking errors (right). "

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.study_figures import comparison_figure
+from hybrid_id.reporting.style import pixels
 from hybrid_id.reporting.tables import (
     comparison_table,
     count,
@@ -19,15 +21,15 @@ from hybrid_id.reporting.tables import (
 from hybrid_id.study import Comparison
 
 
-def replay_figures(dataset: Dataset, comparison: Comparison) -> dict[str, Drawn]:
-    """A picture a record, by its name, with its interactive form."""
-    return {name: drawn(comparison_figure(dataset, comparison, name)) for name in comparison.records}
+def replay_figures(dataset: Dataset, comparison: Comparison) -> dict[str, np.ndarray]:
+    """A picture a record, by its name."""
+    return {name: pixels(comparison_figure(dataset, comparison, name)) for name in comparison.records}
 
 
 def replay_page(
     dataset: Dataset,
     comparison: Comparison,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     *,
     findings: Sequence[Finding] = (),
 ) -> Page:

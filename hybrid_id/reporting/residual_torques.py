@@ -13,9 +13,8 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis_words import joined, percent
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import journal, new_figure
+from hybrid_id.reporting.style import journal, new_figure, pixels
 from hybrid_id.reporting.tables import count, records_table, table
 from hybrid_id.study.residual_torques import ArmHybrid, JointHybrid, TorqueMap
 
@@ -144,13 +143,13 @@ def map_figure(name: str, of: TorqueMap) -> Figure:
     return figure
 
 
-def residuals_pictures(found: ArmHybrid) -> dict[str, Drawn]:
+def residuals_pictures(found: ArmHybrid) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
     maps = {name: one.map for name, one in found.joints.items() if one.map is not None}
-    return {f"map_{k}": drawn(map_figure(name, of)) for k, (name, of) in enumerate(maps.items(), 1)}
+    return {f"map_{k}": pixels(map_figure(name, of)) for k, (name, of) in enumerate(maps.items(), 1)}
 
 
-def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, Drawn]) -> Page:
+def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, np.ndarray]) -> Page:
     """The page of networks joint by joint.
 
     Args:

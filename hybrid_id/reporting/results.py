@@ -16,9 +16,8 @@ from hybrid_id.records.files import plain
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.uncertainty import normal_interval
-from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, ModelCheck, Replay, Study
+from hybrid_id.study import Comparison, Horizon, ModelCheck, Replay, Study
 from hybrid_id.study.residual_torques import ArmHybrid, standard_errors
-from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import save_model
 
 
@@ -30,22 +29,86 @@ def horizon_result(horizon: Horizon) -> dict[str, Any]:
 
 def study_result(study: Study) -> dict[str, Any]:
     """A study as plain data."""
-    selection, cross = study.selection, study.cross_validation
-    reliability = _reliability_result(study)
+    selection, cross, variation = study.selection, study.cross_validation, study.variation
+    combinations = study.combinations
     return {
         "pooled": study.pooled,
         "horizon": horizon_result(study.horizon),
         "parameters": list(study.names),
         "units": list(study.selected.units),
         "level": study.level,
-        "nominal_model": nominal_result(study.system),
-        "selected": _selected_result(study),
-        "sets": [_set_result(study, i) for i in range(len(study.sets))],
-        "variation": _variation_result(study),
-        "reliability": reliability,
-        "trust": reliability,  # its name until 0.2
+        # start value, bounds and prior of every parameter, held ones too, under the keys of a model file
+        "nominal_model": {
+            info.name: {
+                "nominal": info.spec.value,
+                "lower": info.spec.lower,
+                "upper": info.spec.upper,
+                "unit": info.unit,
+                "estimate": info.spec.estimate,
+                "prior_mean": info.spec.prior_mean,
+                "prior_std": info.spec.prior_std,
+            }
+            for info in study.system.table
+        },
+        "selected": {
+            "set": selection.name,
+            "reason": selection.reason,
+            "set_by_the_papers_rule": selection.paper_name,
+            "values": dict(zip(study.names, study.selected.values, strict=True)),
+            "intervals": {
+                name: ends if np.isfinite(ends).all() else None
+                for name, ends in zip(study.names, study.intervals(), strict=True)
+            },
+        },
+        "sets": [
+            {
+                "set": name,
+                "records": list(dict.fromkeys(result.records)),
+                "values": result.values,
+                "std_error": study.covariances[i].std_error,
+                "robust_std_error": study.robust[i].std_error,
+                "input_std_error": None if study.input_error is None else study.input_error[i],
+                "status": result.status,
+                "message": result.message,
+                "at_bound": result.at_bound,
+                "cost": result.cost,
+                "weighted_residual": result.noise_scale,
+                "iterations": result.iterations,
+                "substeps": result.engine.substeps,
+            }
+            for i, (name, result) in enumerate(zip(cross.set_names, study.sets, strict=True))
+        ],
+        # over the sets; None with fewer than two
+        "variation": None
+        if variation is None
+        else {
+            name: {
+                "mean": variation.mean[k],
+                "std": variation.std[k],
+                "percent": variation.percent[k],
+                "acceptable": variation.acceptable[k],
+                "held_by_prior": variation.held[k],
+            }
+            for k, name in enumerate(variation.names)
+        },
+        "reliability": {
+            one.name: {
+                "grade": one.grade,
+                "words": one.words,
+                "std_error_of_mean": one.std_error,  # of the sets, not the selected set's
+                "reason": one.reason,
+            }
+            for one in study.reliability
+        },
         "identifiability": identifiability_result(study.identifiability),
-        "combinations": _combinations_result(study),
+        "combinations": {
+            name: {
+                "values": combinations.values[:, k],
+                "std_error": combinations.std_error[:, k],
+                "percent": None if combinations.variation is None else combinations.variation.percent[k],
+            }
+            for k, name in enumerate(combinations.names)
+        },
         "cross_validation": {
             "sets": cross.set_names,
             "records": cross.record_names,
@@ -59,103 +122,6 @@ def study_result(study: Study) -> dict[str, Any]:
         "beside_nominal": vars(study.beside_nominal) | {"worse": study.beside_nominal.worse},
         "engine_error": study.engine_error,
         "profiles": {name: vars(one) for name, one in study.profiles.items()},
-    }
-
-
-def nominal_result(system: System) -> dict[str, Any]:
-    """Start value, bounds and prior of every parameter, held ones too, under the keys of a model file."""
-    return {
-        info.name: {
-            "nominal": info.spec.value,
-            "lower": info.spec.lower,
-            "upper": info.spec.upper,
-            "unit": info.unit,
-            "estimate": info.spec.estimate,
-            "prior_mean": info.spec.prior_mean,
-            "prior_std": info.spec.prior_std,
-        }
-        for info in system.table
-    }
-
-
-def _selected_result(study: Study) -> dict[str, Any]:
-    """The selected set: its values and their intervals."""
-    selection, values = study.selection, study.selected.values
-    half = 0.5 * np.diff(normal_interval(values, study.standard_errors(selection.index), study.level))[:, 0]
-    return {
-        "set": selection.name,
-        "reason": selection.reason,
-        "set_by_the_papers_rule": selection.paper_name,
-        "values": dict(zip(study.names, values, strict=True)),
-        "intervals": {
-            name: ends if np.isfinite(ends).all() else None
-            for name, ends in zip(study.names, study.intervals(), strict=True)
-        },
-        "half_widths": dict(zip(study.names, half, strict=True)),  # of the intervals: its name until 0.2
-    }
-
-
-def _variation_result(study: Study) -> dict[str, Any] | None:
-    """std/mean of each parameter over the sets; None with fewer than two."""
-    variation = study.variation
-    if variation is None:
-        return None
-    return {
-        name: {
-            "mean": variation.mean[k],
-            "std": variation.std[k],
-            "percent": variation.percent[k],
-            "acceptable": variation.acceptable[k],
-            "held_by_prior": variation.held[k],
-        }
-        for k, name in enumerate(variation.names)
-    }
-
-
-def _reliability_result(study: Study) -> dict[str, Any]:
-    """Reliability of each parameter; its standard error is that of the mean of the sets, not the selected set's."""
-    return {
-        one.name: {
-            "grade": one.grade,
-            "words": one.words,
-            "std_error_of_mean": one.std_error,
-            "std_error": one.std_error,  # its name until 0.2
-            "reason": one.reason,
-        }
-        for one in study.reliability
-    }
-
-
-def _combinations_result(study: Study) -> dict[str, Any]:
-    """What the records identify where parameters alone are not identifiable, of every set."""
-    combinations = study.combinations
-    variation = combinations.variation
-    return {
-        name: {
-            "values": combinations.values[:, k],
-            "std_error": combinations.std_error[:, k],
-            "percent": None if variation is None else variation.percent[k],
-        }
-        for k, name in enumerate(combinations.names)
-    }
-
-
-def _set_result(study: Study, index: int) -> dict[str, Any]:
-    result = study.sets[index]
-    return {
-        "set": study.cross_validation.set_names[index],
-        "records": list(dict.fromkeys(result.records)),
-        "values": result.values,
-        "std_error": study.covariances[index].std_error,
-        "robust_std_error": study.robust[index].std_error,
-        "input_std_error": None if study.input_error is None else study.input_error[index],
-        "status": result.status,
-        "message": result.message,
-        "at_bound": result.at_bound,
-        "cost": result.cost,
-        "weighted_residual": result.noise_scale,
-        "iterations": result.iterations,
-        "substeps": result.engine.substeps,
     }
 
 
@@ -178,7 +144,6 @@ def identifiability_result(identified: Identifiability) -> dict[str, Any]:
         ],
         "relative_std": dict(zip(identified.names, identified.relative_std, strict=True)),
         "not_identifiable": identified.not_claimable,
-        "not_claimable": identified.not_claimable,  # its name until 0.2
     }
 
 
@@ -204,28 +169,26 @@ def check_result(
         ],
         "findings": [vars(finding) for finding in findings],
         "identifiability": None if identified is None else identifiability_result(identified),
-        "base_parameters": None if based is None else base_parameters_result(based),
-    }
-
-
-def base_parameters_result(based: BaseParameterCheck) -> dict[str, Any]:
-    """Base parameters of a robot and how the records excite them, as plain data."""
-    rows = zip(based.values, based.std, based.relative_std, strict=True)
-    return {
-        "inertial_parameters": len(based.base.names),
-        "without_effect": based.base.without_effect,
-        "condition_number": based.condition_number,
-        "missing": based.missing,
-        "parameters": [
-            {
-                "text": based.base.text(k),
-                "coefficients": based.base.coefficients(k),
-                "value": value,
-                "std_error": std,
-                "relative_std": relative,
-            }
-            for k, (value, std, relative) in enumerate(rows)
-        ],
+        "base_parameters": None
+        if based is None
+        else {
+            "inertial_parameters": len(based.base.names),
+            "without_effect": based.base.without_effect,
+            "condition_number": based.condition_number,
+            "missing": based.missing,
+            "parameters": [
+                {
+                    "text": based.base.text(k),
+                    "coefficients": based.base.coefficients(k),
+                    "value": value,
+                    "std_error": std,
+                    "relative_std": relative,
+                }
+                for k, (value, std, relative) in enumerate(
+                    zip(based.values, based.std, based.relative_std, strict=True)
+                )
+            ],
+        },
     }
 
 
@@ -247,10 +210,10 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
 
 
 PARAMETER_HEADS = (
-    "set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper", "lower", "upper",
-    "claimable", "at_bound", "status",
+    "set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper", "claimable",
+    "at_bound", "status",
 )  # fmt: skip
-"""Columns of ``parameters.csv``; ``lower`` and ``upper`` are the interval's names until 0.2."""
+"""Columns of ``parameters.csv``."""
 
 
 def write_parameters(path: Path, study: Study) -> None:
@@ -264,7 +227,7 @@ def write_parameters(path: Path, study: Study) -> None:
         errors, intervals = study.standard_errors(i), study.intervals(i)
         for k, (name, value, unit) in enumerate(zip(study.names, result.values, result.units, strict=True)):
             known = bool(np.isfinite(errors[k]))
-            ends = ("" if np.isnan(v) else f"{v:.6g}" for v in (*intervals[k], *intervals[k]))
+            ends = ("" if np.isnan(v) else f"{v:.6g}" for v in intervals[k])
             interval = f"{errors[k]:.6g}" if known else "", *ends
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
@@ -289,16 +252,13 @@ def write_physics(path: Path, found: ArmHybrid) -> None:
             values = {name: fit.system.parameter(name).spec.value for name in one.physics.names}
             for name, unit in zip(one.physics.names, one.physics.units, strict=True):
                 std = known.get(name) if name not in fit.at_bound else None
-                ends = ("",) * 5 if std is None else _ends(values[name], std, level)
+                ends = [""] * 3
+                if std is not None:
+                    interval = normal_interval(np.array(values[name]), np.array(std), level)
+                    ends = [f"{v:.6g}" for v in (std, *interval)]
                 flags = int(std is not None), int(name in fit.at_bound), fit.status
                 rows.append([f"{label}: {words}", chosen, name, f"{values[name]:.10g}", unit, *ends, *flags])
     write_rows(path, PARAMETER_HEADS, rows)
-
-
-def _ends(value: float, std: float, level: float) -> tuple[str, ...]:
-    """A standard error, then the interval's ends twice, as ``parameters.csv`` has them."""
-    low, high = normal_interval(np.array(value), np.array(std), level)
-    return tuple(f"{v:.6g}" for v in (std, low, high, low, high))
 
 
 def write_models(folder: Path, home: Path, study: Study) -> None:

@@ -13,10 +13,9 @@ from rich.table import Table
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.files import write_whole
-from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import short
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, save
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, save
 from hybrid_id.reporting.tables import markdown_table, table
 
 Scores = Mapping[str, Any]
@@ -244,7 +243,7 @@ def _listed(before: str, row: Sequence[str]) -> str:
 
 
 @journal()
-def confusion_figure(confusion: Mapping[str, Any]) -> Drawn:
+def confusion_figure(confusion: Mapping[str, Any]) -> np.ndarray:
     """Rows: what was at work; columns: what was said."""
     counts = np.array(confusion["counts"], float).reshape(len(confusion["rows"]), len(confusion["columns"]))
     share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
@@ -261,11 +260,11 @@ def confusion_figure(confusion: Mapping[str, Any]) -> Drawn:
     axes.set_yticks(range(len(rows)), rows)
     axes.set_xlabel("said")
     axes.set_ylabel("at work")
-    return drawn(figure)
+    return pixels(figure)
 
 
 @journal()
-def reliability_figure(curves: Mapping[str, Mapping[str, Any]]) -> Drawn:
+def reliability_figure(curves: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
     """Reliability curve of each method with Wilson's intervals.
 
     Args:
@@ -287,7 +286,7 @@ def reliability_figure(curves: Mapping[str, Mapping[str, Any]]) -> Drawn:
     axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
     if axes.get_legend_handles_labels()[0]:
         axes.legend()
-    return drawn(figure)
+    return pixels(figure)
 
 
 _HOW = (
@@ -307,7 +306,7 @@ HEADLINES = {
 """Scores that the lead states, in words."""
 
 
-def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
+def blind_page(content: Scores, figures: Mapping[str, np.ndarray]) -> Page:
     """The page.
 
     Args:
@@ -370,7 +369,7 @@ def _on_page(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     )
 
 
-def scoreboard_figures(content: Scores) -> dict[str, Drawn]:
+def scoreboard_figures(content: Scores) -> dict[str, np.ndarray]:
     """Pictures of the report by name: what was said, of the first method, and the probabilities of all."""
     scores = {method: entry["scores"] for method, entry in content["methods"].items()}
     return {

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.residuals import Residuals, residual_blocks, sound
 from hybrid_id.reporting.tables import (
@@ -67,7 +66,20 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
     if full:
         heads = ["parameter", "reliability", *value_heads, "meaning", *spread_heads, "why"]
     found = table(heads, rows)
-    starts = [start_table(study)] if full else []
+    starts = []
+    if full:
+        rows = []
+        for name, unit in zip(study.names, study.selected.units, strict=True):
+            unit, factor = shown_unit(unit, study.outputs)
+            spec, prior = study.system.parameter(name).spec, "none"
+            if spec.prior_std is not None:
+                prior = f"{factor * spec.prior_std:.3g}"
+                if spec.prior_mean is not None and spec.prior_mean != spec.value:
+                    prior += f" about {factor * spec.prior_mean:.5g}"
+            bounds = bound_cells(study.selected_model, name, factor)
+            rows.append([name, f"{factor * spec.value:.5g}", prior, *bounds, unit])
+        heads = ("parameter", "nominal>", "prior std>", "lower bound>", "upper bound>", "unit")
+        starts.append(table(heads, rows))
     failed = [result for result in study.sets if not result.ok]
     ends = [f"{', '.join(list(dict.fromkeys(r.records))[:3])}: {r.message}" for r in failed[:3]]
     worse = [study.beside_nominal.words] if study.beside_nominal.worse else []
@@ -78,31 +90,6 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
     return Group(
         *first, found, *combinations_table(study), *starts, *(Text(line) for line in _remarks(study))
     )
-
-
-def start_table(study: Study) -> Table:
-    """What the fit started from: nominal value, prior and bounds of each parameter."""
-    heads = ("parameter", "nominal>", "prior std>", "lower bound>", "upper bound>", "unit")
-    rows = []
-    for name, unit in zip(study.names, study.selected.units, strict=True):
-        unit, factor = shown_unit(unit, study.outputs)
-        start = start_cells(study.system, name, factor)
-        rows.append([name, *start, *bound_cells(study.selected_model, name, factor), unit])
-    return table(heads, rows)
-
-
-def start_cells(system: System, name: str, factor: float = 1.0) -> list[str]:
-    """Nominal value of a parameter, and its prior's standard deviation, with the prior's mean where that is another.
-
-    ``factor`` brings them to the unit in which they are shown.
-    """
-    spec = system.parameter(name).spec
-    value = f"{factor * spec.value:.5g}"
-    if spec.prior_std is None:
-        return [value, "none"]
-    other = spec.prior_mean is not None and spec.prior_mean != spec.value
-    about = f" about {factor * spec.prior_mean:.5g}" if other and spec.prior_mean is not None else ""
-    return [value, f"{factor * spec.prior_std:.3g}{about}"]
 
 
 def reliability_cells(study: Study, name: str) -> list[Text]:
@@ -190,7 +177,7 @@ _CAPTIONS = {
 def study_page(
     dataset: Dataset,
     study: Study,
-    figures: Mapping[str, Drawn],
+    figures: Mapping[str, np.ndarray],
     *,
     findings: Sequence[Finding] = (),
     residuals: Residuals | None = None,
@@ -200,7 +187,7 @@ def study_page(
     Args:
         dataset: the records.
         study: the result.
-        figures: its pictures by name, with their interactive form.
+        figures: its pictures by name.
         findings: what the check of the records remarked.
         residuals: tests of the residuals of the selected set.
     """

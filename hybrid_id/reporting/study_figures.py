@@ -13,7 +13,6 @@ from matplotlib.patches import Rectangle
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import Multisine
 from hybrid_id.records.units import stem
-from hybrid_id.reporting.interactive import Drawn, Plot, drawn, short
 from hybrid_id.reporting.style import (
     COLOURS,
     DASHES,
@@ -24,6 +23,7 @@ from hybrid_id.reporting.style import (
     legend_above,
     new_figure,
     pad,
+    pixels,
     power_of_ten,
     scaled_unit,
     shortened,
@@ -44,8 +44,8 @@ MAX_NUMBERED = 14
 """Largest matrix whose cells are given as numbers too."""
 
 
-def study_figures(dataset: Dataset, study: Study, runs: Sequence[Replay]) -> dict[str, Drawn]:
-    """Every picture of a study by the name of its file, with its interactive form.
+def study_figures(dataset: Dataset, study: Study, runs: Sequence[Replay]) -> dict[str, np.ndarray]:
+    """Every picture of a study by the name of its file.
 
     Args:
         dataset: the records.
@@ -63,8 +63,7 @@ def study_figures(dataset: Dataset, study: Study, runs: Sequence[Replay]) -> dic
         with_set = f"{title}, parameter set {study.selection.name}"
         title = with_set if len(with_set) < MAX_TITLE else title
         figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
-    found = {name: drawn(figure) for name, figure in figures.items()}
-    return found | {"parameters": found["parameters"]._replace(plot=parameter_plot(study))}
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 @journal()
@@ -319,8 +318,6 @@ def _panel(axes: Axes, study: Study, name: str, profile: Profile) -> None:
     axes.set(ylim=(-0.1, TOP), xlabel=f"{symbol(name)} {scaled_unit(study.selected.units[k], exponent)}")
 
 
-SYMBOLS = ("circle", "diamond", "square", "cross")
-"""Marks of parameters in their interactive picture."""
 MAX_INPUTS = 3
 MAX_LABEL = 32
 LEGEND_COLUMNS = 3
@@ -422,7 +419,7 @@ def _signal(
             lw=1.0,
             label=name if math.isnan(fit) else f"{name}, fit {fit:.2f} %",
         )
-        below.plot(time, measured - simulated, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
+        below.plot(time, measured - simulated, color=colour, lw=0.6, alpha=0.9)
     joint = f"{shortened(channel.joint, MAX_TITLE)}\n" if channel.joint else ""
     main.set_ylabel(joint + label(channel.name, unit))
     pad(main)
@@ -436,24 +433,3 @@ def _moving(inputs: Mapping[str, np.ndarray]) -> list[str]:
     moving = [name for name, values in inputs.items() if np.ptp(values) > 0]
     settings = ("gain", "enable", "supply")
     return sorted(moving, key=lambda name: stem(name) in settings)[:MAX_INPUTS]
-
-
-def parameter_plot(study: Study) -> Plot:
-    """Difference of every parameter from the selected set's [%], with intervals where one may be claimed."""
-    names, chosen = list(study.cross_validation.set_names), study.selection.index
-    intervals = np.array([study.intervals(i) for i in range(len(study.sets))])
-    data = []
-    for k, name in enumerate(study.names):
-        base = study.values[chosen, k]
-        if base == 0:
-            continue
-        below, above = np.nan_to_num(np.abs(intervals[:, k] - study.values[:, k, None])).T * 100 / abs(base)
-        curve: Plot = {"type": "scatter", "mode": "markers", "x": names, "name": name, "visible": True}
-        curve["y"] = short(100 * (study.values[:, k] / base - 1.0))
-        curve["error_y"] = {"array": short(above), "arrayminus": short(below), "symmetric": False}
-        curve["marker"] = {"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 8}
-        curve["text"] = [f"{value:.4g}" for value in study.values[:, k]]
-        data.append(curve | {"hovertemplate": f"{name} = %{{text}}, set %{{x}}<extra></extra>"})
-    title = f"differs from set {names[chosen]} by [%]"
-    layout: Plot = {"height": 420, "yaxis": {"title": {"text": title}}, "scattermode": "group"}
-    return {"data": data, "layout": layout}

@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from hybrid_id.export.replay import Agreement, summarise
-from hybrid_id.export.target import HYBRID, REFITTED, InTarget, TargetErrors
+from hybrid_id.export.target import HYBRID, REFITTED, TargetErrors
 from hybrid_id.records.dataset import Channel
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.tables import count, error_words, table
@@ -37,35 +37,29 @@ def error_lines(errors: TargetErrors) -> list[str]:
     lines = [f"NRMSE in MuJoCo, mean over {judged_on(errors)}: {words}"]
     if errors.label == HYBRID:
         lines.append("hybrid: its networks are left out in MuJoCo, which has none; 'here' it has them")
-    lines += [_output_line(errors, output) for output in errors.exported.summary.rmse]
-    return lines + [line for label, one in errors.models.items() for line in _refit_lines(label, one)]
-
-
-def _output_line(errors: TargetErrors, output: str) -> str:
-    """The error of one output in the unit that was logged, and normalised where there are several outputs."""
     found = [one.summary for one in errors.models.values()]
-    rmse = [one.rmse[output] for one in found]
-    *values, unit = in_unit(output, rmse, errors.outputs, errors.exported.system)
-    words = ", ".join(f"{label} {value}" for label, value in zip(errors.models, values, strict=True))
-    normalised = [one.by_output[output] for one in found]
-    still = all(math.isnan(one) for one in normalised)
-    said = "it stands still" if still else f"NRMSE {', '.join(f'{one:.3g}' for one in normalised)}"
-    return f"RMSE of {title(output, errors.outputs)}: {words} {unit}" + (
-        f" ({said})" if len(found[0].rmse) > 1 else ""
-    )
-
-
-def _refit_lines(label: str, one: InTarget) -> list[str]:
-    """What was fitted anew in MuJoCo, in a sentence; none where nothing was."""
-    if not one.refitted:
-        return []
-    infos = [(one.system.parameter(name), old, new) for name, (old, new) in one.refitted.items()]
-    values = ", ".join(f"{i.name} {old:.4g} to {new:.4g} {i.unit}" for i, old, new in infos)
-    return [
-        f"{label}: MuJoCo lacks some of it (error {summarise(one.before).there:.3g} as it is), so its file holds what "
-        f"fits the train records best there: {values}",
-        *symbols_line([info for info, *_ in infos], values),
-    ]
+    for output in errors.exported.summary.rmse:
+        *values, unit = in_unit(
+            output, [one.rmse[output] for one in found], errors.outputs, errors.exported.system
+        )
+        words = ", ".join(f"{label} {value}" for label, value in zip(errors.models, values, strict=True))
+        line = f"RMSE of {title(output, errors.outputs)}: {words} {unit}"
+        if len(found[0].rmse) > 1:
+            normalised = [one.by_output[output] for one in found]
+            still = all(math.isnan(one) for one in normalised)
+            said = "it stands still" if still else f"NRMSE {', '.join(f'{one:.3g}' for one in normalised)}"
+            line += f" ({said})"
+        lines.append(line)
+    for label, one in errors.models.items():
+        if one.refitted:
+            infos = [(one.system.parameter(name), old, new) for name, (old, new) in one.refitted.items()]
+            values = ", ".join(f"{i.name} {old:.4g} to {new:.4g} {i.unit}" for i, old, new in infos)
+            lines += [
+                f"{label}: MuJoCo lacks some of it (error {summarise(one.before).there:.3g} as it is), so its file "
+                f"holds what fits the train records best there: {values}",
+                *symbols_line([info for info, *_ in infos], values),
+            ]
+    return lines
 
 
 def worse_words(errors: TargetErrors) -> str:

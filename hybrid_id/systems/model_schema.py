@@ -100,13 +100,6 @@ SKELETON: dict[str, tuple[tuple[str, type[Component]], ...]] = {
 ROBOT = "robot"
 """Name of the system whose joints, masses and gravity stand in a robot's own description."""
 
-FORMER_KINDS = {
-    "effort_dependent_friction": "efficiency_loss",
-    "late_reading": "sensor_delay",
-    "tight_spot": "local_friction",
-}
-"""Kinds of components by the names that they had up to 0.1; read for one release."""
-
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -168,7 +161,7 @@ class ComponentEntry(_Section):
     """
 
     place: str = Field(json_schema_extra={"pattern": f"^.+/({'|'.join(PLACES)})$"})
-    kind: str = Field(json_schema_extra=one_of(lambda: sorted(REGISTRY | FORMER_KINDS)))
+    kind: str = Field(json_schema_extra=one_of(lambda: sorted(REGISTRY)))
     parameters: dict[str, ParameterEntry] = {}
     options: dict[str, Any] = {}
     weights: dict[str, list[Any]] = {}
@@ -176,11 +169,6 @@ class ComponentEntry(_Section):
     _parameters = field_validator("parameters", mode="before", json_schema_input_type=Parameters)(
         _short_parameters
     )
-
-    @field_validator("kind")
-    @classmethod
-    def _former_kind(cls, value: str) -> str:
-        return FORMER_KINDS.get(value, value)
 
 
 class RobotEntry(_Section):

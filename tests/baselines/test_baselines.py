@@ -5,7 +5,6 @@ import re
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from gapcase import WHERE, small_case
 
@@ -46,37 +45,23 @@ def test_stribeck_is_always_named(folder: Path) -> None:
     assert [e["name"] for e in said["effects"] if e["selected"]] == ["stribeck_friction"]
 
 
-def test_network_tells_a_place_and_no_name(folder: Path) -> None:
-    ((_, said),) = run_cases(Settings("network"), [read_case(folder)])
-    assert {e["name"] for e in said["effects"]} == {"residual_network"}
-    assert not any(e["selected"] for e in said["effects"])
-    assert len(said["location"][0]["profile"]["signal"]) == 41
-
-
-def test_sparse_regression_sees_a_large_bias() -> None:
-    dataset, system = small_case(ConstantTorque(T_0=0.6))
-    said = METHODS["sparse"](dataset, system)
-    assert "constant_torque" in [e["name"] for e in said["effects"][:3]]
-    assert said["gap"] == {}
-
-
 def _fail(dataset: Dataset, system: System) -> dict:
     raise ValueError("no solution\nat all")
 
 
 def test_broken_case_is_told_and_loses_no_other(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = [Case("c000", {"dataset.yaml": b"name: [", "model.yaml": b""}), read_case(folder)]
-    said = dict(run_cases(Settings("sparse"), cases))
+    said = dict(run_cases(Settings("stribeck"), cases))
     assert said[0]["case"] == "c000" and said[0]["run"]["message"].startswith("InputError: ")
     assert said[1]["run"]["message"] == ""
-    monkeypatch.setattr(runner, "METHODS", {"sparse": _fail})
-    told = dict(run_cases(Settings("sparse"), cases[1:]))[0]["run"]["message"]
+    monkeypatch.setattr(runner, "METHODS", {"stribeck": _fail})
+    told = dict(run_cases(Settings("stribeck"), cases[1:]))[0]["run"]["message"]
     assert re.fullmatch(r"ValueError: no solution \(baselines/test_baselines\.py, line \d+\)", told)
 
 
 def test_processes_say_the_same(folder: Path) -> None:
     cases = [read_case(folder)] * 2
-    told = [dict(run_cases(Settings("sparse"), cases, jobs=jobs)) for jobs in (1, 2)]
+    told = [dict(run_cases(Settings("stribeck"), cases, jobs=jobs)) for jobs in (1, 2)]
     assert [t[k]["effects"] for t in told[:1] for k in (0, 1)] == [told[1][k]["effects"] for k in (0, 1)]
 
 
@@ -85,8 +70,8 @@ def test_dask_cluster_says_the_same(folder: Path) -> None:
     cases = [read_case(folder), Case("c000", {"dataset.yaml": b"name: ["})]
     settings = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with distributed.LocalCluster(**settings) as cluster:
-        told = dict(run_cases(Settings("sparse"), cases, scheduler=cluster.scheduler_address))
-    assert told[0]["effects"] == METHODS["sparse"](*small_case(BIAS))["effects"]
+        told = dict(run_cases(Settings("stribeck"), cases, scheduler=cluster.scheduler_address))
+    assert told[0]["effects"] == METHODS["stribeck"](*small_case(BIAS))["effects"]
     assert told[1]["run"]["message"].startswith("InputError: ")
 
 
@@ -121,16 +106,6 @@ def test_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     begin(tmp_path / "bic", about)
     with pytest.raises(InputError, match="other cases"):
         begin(tmp_path / "bic", about | {"cases": {"answers": {"sha256": "1" * 64}}})
-
-
-def test_reconstructed_torque_fits_a_model_without_gap() -> None:
-    from hybrid_id.baselines.reconstruct import reconstructed
-
-    dataset, system = small_case()
-    torque = reconstructed(dataset, dataset.train[0], system, 0)
-    weights = np.linalg.lstsq(torque.own, torque.target, rcond=None)[0]
-    left = torque.target - torque.own @ weights
-    assert np.mean(left**2) < 0.05 * np.mean(torque.target**2)
 
 
 GOOD = {

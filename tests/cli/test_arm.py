@@ -341,7 +341,7 @@ def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(
     monkeypatch.setattr(desk_arm, "LENGTH", 0.1)  # values are drawn before motions
     truth = desk_arm.write_arm(tmp_path / "again")[1]
     names, estimates = found["parameters"], found["sets"][0]["values"]
-    errors = [found["reliability"][name]["std_error"] for name in names]
+    errors = [found["reliability"][name]["std_error_of_mean"] for name in names]
     assert len(names) == 26
     for name, value, error in zip(names, estimates, errors, strict=True):
         assert abs(value - truth[name]) < max(4.0 * error, 0.03 * truth[name]), name

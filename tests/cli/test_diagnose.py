@@ -289,7 +289,6 @@ def test_ctrl_c_while_pictures_are_made_keeps_the_diagnosis(
     ("options", "most", "window"),
     [
         (["--max-effects", 2], 2, "auto"),
-        (["--most", 2], 2, "auto"),
         (["--window", "whole"], 3, "whole"),
         (["--window", "0.25"], 3, 0.25),
     ],

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import soak
 
-from hybrid_id.cli import console
 from hybrid_id.cli.console import FitProgress, SearchProgress, terminated_as_interrupted
 from hybrid_id.identification.result import FitResult
 
@@ -202,16 +201,6 @@ def test_a_long_search_says_how_long(capsys: pytest.CaptureFixture[str]) -> None
     assert "about 3 min if one effect explains the gap, and up to about 18 min if it goes on to 3" in said
 
 
-def test_a_search_for_one_effect_says_one_range(capsys: pytest.CaptureFixture[str]) -> None:
-    now = 7.0
-    with SearchProgress(1, 2, clock=lambda: now) as progress:
-        for done in range(1, 91):
-            progress("effect 1", done, 90)
-            now += 1.0
-    said = " ".join(capsys.readouterr().err.split())
-    assert "the search of 2 joints will take about 6 min to 12 min: a guess" in said
-
-
 def test_a_search_answers_ctrl_c_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     own = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -221,18 +210,3 @@ def test_a_search_answers_ctrl_c_at_once(capsys: pytest.CaptureFixture[str]) -> 
     finally:
         signal.signal(signal.SIGINT, own)
     assert "stopping; what is complete is written next" in capsys.readouterr().err
-
-
-def test_a_short_search_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with SearchProgress(3, clock=lambda: 0.0) as progress:
-        for done in range(1, 91):
-            progress("effect 1", done, 90)
-    assert "will take" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.2, "1 s"), (40.0, "40 s"), (90.0, "1.5 min"), (1080.0, "18 min"), (9000.0, "2.5 h")],
-)
-def test_a_time_is_said_roughly(seconds: float, words: str) -> None:
-    assert console.rough_time(seconds) == words

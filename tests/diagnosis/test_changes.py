@@ -9,6 +9,7 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 from servo_arm import described
 
+from hybrid_id.components import ConstantTorque
 from hybrid_id.diagnosis.changes import _beside, _change_words, _Hypothesis, _solve, find_change
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.identification.fit import fit
@@ -112,6 +113,25 @@ def test_a_lower_supply(nominal: System, seed: int) -> None:
     assert found.name == "supply"
     assert found.interval[0] < -0.1 < found.interval[1] < 0.0
     assert "lower" in found.words and {other.name for other in found.rejected} >= {"torque_gain"}
+
+
+def test_a_parameter_that_stays_at_zero_hides_no_change() -> None:
+    """A constant torque of zero, estimated and found to be zero, has no relative change."""
+    nominal = TILTED.with_component("joint1/load", ConstantTorque(T_0=0.0))
+    seen = pretended(nominal, changed(nominal, F_c=0.6, F_v=0.6))
+    column = np.random.default_rng(1).normal(size=(400, 1, 1))
+    found = find_change(
+        nominal,
+        replace(
+            seen,
+            names=(*seen.names, "T_0"),
+            values=np.append(seen.values, 0.0),
+            units=(*seen.units, "N m"),
+            jacobian=(np.concatenate([seen.jacobian[0], column], 2),),
+            prior_precision=np.zeros(len(seen.names) + 1),
+        ),
+    )
+    assert found.name == "friction" and "T_0" not in found.parameters
 
 
 def test_without_weight_a_load_is_an_inertia() -> None:

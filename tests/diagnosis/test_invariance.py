@@ -18,8 +18,7 @@ from hybrid_id.identification.keep import Kept
 ON_DEMAND = "HYBRID_ID_DEVELOPMENT_CASES"
 """Environment variable with which the development cases are diagnosed twice each, which takes minutes a case."""
 OF_TEST_RECORDS = (
-    "gap", "extrapolation", "beyond_training", "halted_elsewhere", "not_identifiable", "cannot_be_told",
-    "next_experiments",
+    "gap", "extrapolation", "not_identifiable", "next_experiments",
 )  # fmt: skip
 """Entries of the file that the test records may change: errors on them and where they go; the last two are asked of all
 records and are no part of the answer."""

@@ -87,7 +87,7 @@ def test_other_records_horizons_and_programs_are_fitted_anew(diagnosed, tmp_path
 
 def test_the_horizon_is_what_was_asked_for(diagnosed) -> None:
     found = diagnose(*diagnosed[:2], max_effects=1, horizon=HALF)
-    assert found.horizon == HALF and found.as_dict()["window"] == 0.5
+    assert found.horizon == HALF and found.as_dict()["horizon"]["seconds"] == 0.5
     assert found.selected[0].name in ("spring_load", "gravity_load")  # alike over so short a time
     assert len(found.details.studies) == 2
 

@@ -15,7 +15,7 @@ from hybrid_id.systems import one_link
 RESULT = {
     "parameters": ["J", "F_c"],
     "level": 0.95,
-    "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "half_widths": {"J": 1e-6, "F_c": None}},
+    "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "intervals": {"J": [1.9e-5, 2.1e-5], "F_c": None}},
     "sets": [{"values": [2e-5, 0.008]}, {"values": [2.1e-5, 0.013]}],
 }
 
@@ -52,13 +52,13 @@ def test_a_step_that_would_be_unstable_beside_steep_friction_is_refused() -> Non
 
 
 def test_range_stays_within_bounds() -> None:
-    wide = RESULT | {"selected": {"values": {"J": 2e-5}, "half_widths": {"J": 1.0}}}
+    wide = RESULT | {"selected": {"values": {"J": 2e-5}, "intervals": {"J": [-1.0, 1.0]}}}
     assert to_ranges(one_link(100.0), wide)["parameters"]["J"]["lower"] == 1e-12
 
 
 def test_foreign_results_are_refused(tmp_path) -> None:
     with pytest.raises(InputError, match="which the model lacks"):
-        to_ranges(one_link(100.0), RESULT | {"selected": {"values": {"k": 1.0}, "half_widths": {}}})
+        to_ranges(one_link(100.0), RESULT | {"selected": {"values": {"k": 1.0}, "intervals": {}}})
     with pytest.raises(InputError, match="no identified values"):
         to_ranges(one_link(100.0), {"selected": None})
     (tmp_path / "result.json").write_text("[1]")
@@ -95,14 +95,13 @@ def test_program_without_the_past_is_refused() -> None:
 
 def test_a_range_holds_what_the_records_own_sets_say() -> None:
     result = RESULT | {
-        "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "half_widths": {"J": 1e-7, "F_c": None}},
+        "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "intervals": {"J": [1.99e-5, 2.01e-5], "F_c": None}},
         "reliability": {"J": {"grade": "C"}},
         "profiles": {"F_c": {"lower": 0.007, "upper": 0.011, "closed": [True, True]}},
     }
     found = to_ranges(one_link(100.0), result)["parameters"]
     assert (found["J"]["lower"], found["J"]["upper"]) == pytest.approx((1.99e-5, 2.1e-5))
     assert (found["J"]["reliability"], found["F_c"]["reliability"]) == ("C", None)
-    assert found["J"]["trust"] == "C"  # the former name
     assert (found["F_c"]["lower"], found["F_c"]["upper"], found["F_c"]["from"]) == (0.007, 0.013, "profile")
 
 

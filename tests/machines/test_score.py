@@ -176,11 +176,11 @@ def test_outside_the_catalogue() -> None:
     missed = judge("c1", OUTSIDE, said(effect("delay", selected=True)))
     assert seen.outside_at is None
     for told, right in (
-        ({"joint": "joint1", "place": None}, True), ({"joint": "joint1", "place": "motor"}, True),
-        ({"joint": "joint1", "place": "load"}, False), ({"joint": "joint2", "place": None}, False),
+        ({"joint": "joint1", "side": None}, True), ({"joint": "joint1", "side": "motor"}, True),
+        ({"joint": "joint1", "side": "load"}, False), ({"joint": "joint2", "side": None}, False),
     ):  # fmt: skip
         sheet_of = sheet("unknown", truth("unknown") | {"accept_where": ["joint1/motor"]})
-        one = judge("c1", sheet_of, said(unknown=True) | {"unknown_at": told})
+        one = judge("c1", sheet_of, said(unknown=True) | {"unknown_location": told})
         assert one.outside_at is right
     assert missed.outside is False and not missed.whole and missed.said == "delay"
 

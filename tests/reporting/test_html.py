@@ -11,10 +11,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.reporting.interactive import drawn
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import program
-from hybrid_id.reporting.style import new_figure
 
 VOID = {"meta", "img", "br", "link"}
 
@@ -41,25 +39,12 @@ def page() -> Page:
     table.add_row("J <b>", Text("2e-05", style="red"))
     made = Page("Identification of <arm>", "One set & its page.")
     made.section("Parameters").add(Group(table, Text("at a bound: F_c", style="yellow")), "plain words")
-    made.section("Pictures").picture(np.zeros((4, 6, 3), dtype=np.uint8), "nothing to see")
-    return made
-
-
-def live_page() -> Page:
-    made = page()
-    curve = {"type": "scatter", "x": [0, 1], "y": [1, 0], "name": "</script>"}
-    plot = {"data": [curve], "layout": {"height": 300}}
-    made.section("Live").picture(np.zeros((4, 6, 3), dtype=np.uint8), "a line", plot)
-    figure = new_figure(2.0)
-    axes = figure.subplots()
-    axes.plot([1.0, 2.0], [0, 1], label="drawn")
-    axes.set_yticks([0, 1], ["a name that is long enough to leave a phone no room", "another"])
-    made.section("Twin").figure(drawn(figure), "rows with names")
+    made.section("Pictures").figure(np.zeros((4, 6, 3), dtype=np.uint8), "nothing to see")
     return how_made(made, "identify", "seed: 0\nname: <b>", {"seed": 0})
 
 
-@pytest.mark.parametrize("text", [page().html(), live_page().html()])
-def test_page_is_well_formed_and_escaped(text: str) -> None:
+def test_page_is_well_formed_and_escaped() -> None:
+    text = page().html()
     parser = Balanced()
     parser.feed(text)
     assert parser.open == []
@@ -85,53 +70,46 @@ def test_page_holds_tables_remarks_and_pictures() -> None:
 
 
 def test_every_table_scrolls_in_a_frame_that_shows_it() -> None:
-    text = live_page().html()
+    text = page().html()
     assert text.count("<table>") == text.count('<div class="scroll" tabindex="0"') >= 2
     assert "overflow-x: auto" in text and "local" in text.split(".scroll { margin")[1].split("}")[0]
 
 
 def test_page_fetches_nothing() -> None:
-    links = re.findall(r'(?:src|href)="([^"]*)"', live_page().html())
+    links = re.findall(r'(?:src|href)="([^"]*)"', page().html())
     assert links
     assert all(link.startswith(("#", "data:")) for link in links)
 
 
-def test_page_carries_plotly_only_where_it_is_used() -> None:
-    assert "DecompressionStream" not in page().html()
-    assert "DecompressionStream" in live_page().html()
-
-
 def test_page_says_how_it_was_made() -> None:
-    text = live_page().html()
+    text = page().html()
     assert f"{program()}, command identify" in text
     assert "<pre>seed: 0\nname: &lt;b&gt;</pre>" in text
 
 
-def test_interactive_figures_are_drawn_in_a_browser(tmp_path: Path) -> None:
+def test_page_is_shown_by_a_browser(tmp_path: Path) -> None:
     file = tmp_path / "page.html"
-    file.write_text(live_page().html(), encoding="utf-8")
-    look_at(file, tmp_path, figures=2)
+    file.write_text(page().html(), encoding="utf-8")
+    look_at(file, tmp_path, figures=1)
 
 
 def test_a_fault_in_a_page_is_seen(tmp_path: Path) -> None:
     file = tmp_path / "page.html"
-    file.write_text(live_page().html().replace("</footer>", "</footer><script>nothing()</script>"), "utf-8")
+    file.write_text(page().html().replace("</footer>", "</footer><script>nothing()</script>"), "utf-8")
     with pytest.raises(AssertionError, match="nothing is not defined"):
-        look_at(file, tmp_path, figures=2)
+        look_at(file, tmp_path, figures=1)
 
 
 def test_what_a_phone_would_have_to_scroll_for_is_seen(tmp_path: Path) -> None:
     file = tmp_path / "page.html"
     wide = "<div style='width: 700px'>wide</div>"
-    file.write_text(live_page().html().replace("</footer>", f"</footer>{wide}"), "utf-8")
+    file.write_text(page().html().replace("</footer>", f"</footer>{wide}"), "utf-8")
     with pytest.raises(AssertionError, match="phone"):
-        look_at(file, tmp_path, figures=2)
+        look_at(file, tmp_path, figures=1)
 
 
 def test_a_second_column_that_a_phone_does_not_show_is_seen(tmp_path: Path) -> None:
     file = tmp_path / "page.html"
-    file.write_text(
-        live_page().html().replace(">parameter<", " style='min-width: 30rem'>parameter<"), "utf-8"
-    )
+    file.write_text(page().html().replace(">parameter<", " style='min-width: 30rem'>parameter<"), "utf-8")
     with pytest.raises(AssertionError, match="phone"):
-        look_at(file, tmp_path, figures=2)
+        look_at(file, tmp_path, figures=1)

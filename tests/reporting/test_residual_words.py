@@ -3,9 +3,8 @@
 import math
 
 import pytest
-from rich.console import Console, Group
 
-from hybrid_id.reporting.residuals import residual_blocks, residual_result, sentence
+from hybrid_id.reporting.residuals import residual_result, sentence
 from hybrid_id.statistics.residuals import Follows, ResidualTest
 
 WHITE = ResidualTest("q_m1", 4000, 1.02, 100, 0.01, 0.4, 0.003, (Follows("u1", 0.01, 3, 0.06),))
@@ -30,29 +29,6 @@ LOST = ResidualTest("q_m1", 4000, math.inf, 100, math.nan, math.nan, math.nan, (
 def test_each_verdict_is_a_sentence(test: ResidualTest, words: str) -> None:
     assert sentence(test).startswith(words)
     assert sentence(test).endswith(".")
-
-
-def text_of(residuals: dict[str, list[ResidualTest]], where: str = "") -> str:
-    console = Console(width=400, no_color=True)
-    with console.capture() as captured:
-        console.print(Group(*residual_blocks(residuals, where)))
-    return captured.get()
-
-
-def test_what_only_test_records_leave_is_said() -> None:
-    said = text_of({"train": [WHITE], "test": [SMOOTH]})
-    assert "Records it was fitted to, q_m1: white" in said and "Test records, q_m1: not white" in said
-    assert "parameters that differ from record to record" in said
-    assert "differ from record" not in text_of({"train": [WHITE], "test": [FAINT]})
-
-
-def test_table_holds_the_figures_of_every_model() -> None:
-    said = text_of({"re-fitted": [LATE], "corrected": [LOST]}, "2 test records")
-    assert said.startswith("On 2 test records:")
-    row = next(line for line in said.splitlines() if line.startswith("re-fitted model "))
-    cells = "re-fitted model, q_m1, 2.1, 2 % of 100, 0.04, u1, -0.31 (7 samples), ± 0.06, not white"
-    assert row.split() == cells.replace(",", "").split()
-    assert "none moves" in said
 
 
 def test_plain_data_has_every_figure() -> None:

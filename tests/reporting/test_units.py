@@ -8,10 +8,9 @@ from drives import make_records, multisine, rigid_drive
 from rich.console import Console
 
 from hybrid_id import Channel, Dataset, Record, one_link, replay
-from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.reporting.study import study_table
 from hybrid_id.reporting.study_figures import fit_figure
-from hybrid_id.reporting.units import in_unit, shown_unit, symbols_line, title
+from hybrid_id.reporting.units import in_unit, shown_unit, title
 from hybrid_id.statistics.profile import Profile
 from hybrid_id.study import Study, identify
 
@@ -104,23 +103,6 @@ def test_a_profile_is_the_one_interval_of_its_parameter(study: Study) -> None:
     half_open = replace(profile, upper=np.inf, closed=(True, False), message="interval open above")
     words = screen(replace(study, profiles={"J": half_open}))
     assert "profile likelihood of J: interval open above" in words
-
-
-def test_symbols_are_named_once_and_only_those_that_stand_there() -> None:
-    table = one_link(50.0).table
-    (line,) = symbols_line(table, "P_m1, F_c may be multiplied; F_c up")
-    assert line == "symbols: P_m1 stall torque per volt, k_m/R; F_c Coulomb level."
-    assert symbols_line(table, "nothing here") == []
-
-
-def test_what_several_joints_have_is_named_once() -> None:
-    def friction(joint: str, symbol: str, doc: str) -> ParameterInfo:
-        return ParameterInfo(f"{symbol}_{joint}", f"{joint}/motor_friction/law", symbol, doc, Bounded(1.0))
-
-    infos = [friction(joint, "F_c", "Coulomb level") for joint in ("elbow", "wrist")]
-    infos.append(friction("elbow", "F_v", "viscous coefficient"))
-    (line,) = symbols_line(infos, "F_c_elbow F_c_wrist F_v_elbow")
-    assert line == "symbols: F_c_... Coulomb level; F_v_elbow viscous coefficient."
 
 
 def test_an_output_is_called_by_its_joint_where_a_robot_names_it() -> None:

@@ -57,23 +57,6 @@ def test_malformed_model_is_refused(case: MalformedModel, tmp_path: Path) -> Non
     assert case.name == "unknown kind" or len(message.replace(str(tmp_path), "")) < 320, message
 
 
-@pytest.mark.parametrize(
-    ("former", "kind"),
-    [
-        ("late_reading", "sensor_delay"),
-        ("tight_spot", "local_friction"),
-        ("effort_dependent_friction", "efficiency_loss"),
-    ],
-)
-def test_former_kinds_are_read_for_one_release(former: str, kind: str, tmp_path: Path) -> None:
-    place = "joint1/input" if kind == "sensor_delay" else "joint1/motor_friction"
-    save_model(rigid_drive().with_component(place, REGISTRY[kind]()), tmp_path / "new.yaml")
-    text = (tmp_path / "new.yaml").read_text()
-    assert kind in text
-    (tmp_path / "old.yaml").write_text(text.replace(kind, former))
-    assert equal(*(load_model(tmp_path / name) for name in ("old.yaml", "new.yaml")))
-
-
 def test_table_is_broad_and_its_sound_model_is_sound(tmp_path: Path) -> None:
     assert len(CASES) >= 25
     assert len({case.name for case in CASES}) == len(CASES)
