@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def write_arm(folder: Path, seed: int = 0) -> tuple[Dataset, dict[str, float]]:
     def drawn(nominal: Any) -> np.ndarray:
         return nominal * (1.0 + SPREAD * rng.uniform(-1.0, 1.0, np.shape(nominal)))
 
-    spec = mujoco.MjSpec.from_file(str(DESCRIPTION))
+    spec = cast(Any, mujoco).MjSpec.from_file(str(DESCRIPTION))
     names = [joint.name for joint in spec.joints]
     servo = spec.joint(ELBOW)
     servo.parent.add_joint(

@@ -212,7 +212,7 @@ def claims(stages: Mapping[str, StageResult], tracking: Mapping[str, TrackingRes
         [parameter_table(s, stages[s]).assign(table=f"Table {PRINTED[s].numbers[0]}") for s in PRINTED]
     )
     free, claimed = rows[rows.role == "free"], rows[(rows.role != "stage") & rows.claimed]
-    above = [f"{name} ({table})" for name, table in free[~free.below].table.items()]
+    above = [f"{name} ({table})" for name, table in free.loc[~free.below, "table"].items()]
     found = [
         Claim(
             "std/mean of every free parameter, the 30 % rule",

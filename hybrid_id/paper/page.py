@@ -31,7 +31,7 @@ def _parameters(stage: str, result: StageResult) -> Table:
         spread = Text(f"{row.percent:.2f} %", style="yellow" if row.role == "free" and not row.below else "")
         rows.append(
             {
-                "parameter": name,
+                "parameter": str(name),
                 "truth>": _number(row.truth),
                 "ours>": _number(row.value),
                 "± (95 %)>": "held" if held else _number(row.interval, 2) if row.claimed else "none",
@@ -62,7 +62,7 @@ def _fits(stage: str, result: StageResult) -> Table:
         low, wide = row["mean"] < row.printed_mean, row.percent >= row.printed_percent
         rows.append(
             {
-                "signal": signal,
+                "signal": str(signal),
                 "average fit, ours>": Text(f"{row['mean']:.2f} %", style="yellow" if low else ""),
                 "printed>": f"{row.printed_mean:.2f} %",
                 "true parameters>": f"{row.truth_mean:.2f} %",
@@ -81,7 +81,7 @@ def _inertia(stages: Mapping[str, StageResult]) -> Table:
     return _table(
         [
             {
-                "second link": title,
+                "second link": str(title),
                 "printed [kg m²]>": f"{row.printed:.3f}",
                 "ours [kg m²]>": f"{row.value:.6f}",
                 "± (95 %)>": f"{row.interval:.1g}",

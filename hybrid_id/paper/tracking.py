@@ -49,7 +49,7 @@ def reference(
         x, v = (a * np.sin(w * time)).sum(0), (a * w * np.cos(w * time)).sum(0)
         acceleration = rise * (-(w**2) * a * np.sin(w * time)).sum(0) + 2 * rate * v + curvature * x
         motions.append([rise * x, rise * v + rate * x, acceleration])
-    return np.moveaxis(motions, 0, 2)
+    return np.moveaxis(np.array(motions), 0, 2)
 
 
 class ComputedTorque:

@@ -240,7 +240,7 @@ class Twin(Section):
         wave = self.disturbances.torque_ripple if ripple else None
         drives = []
         for motor, ratio in zip(self.kind.motors, self.gear_ratios, strict=True):
-            drive = Drive(Gear(ratio), 0.0, Motor(*(p[name + motor] for name in MOTOR)))
+            drive = Drive(Gear(ratio), 0.0, Motor(p["P_m1" + motor], p["P_m2" + motor]))
             dry = AsymmetricStribeck(**{name: p[name + motor] for name in LEVELS})
             drive.rotor_laws = [dry, Viscous(p["f_3" + motor])]
             if wave and wave.share:
@@ -252,8 +252,8 @@ class Twin(Section):
             links = TwoLinks(p["P_1"], p["P_4"], p["P_3"])
         elif self.machine == "one_link_flexible":
             drives[0].rotor = p["J_m"]
-            drives[0].spring = BacklashFlexibility(*(p[name] for name in SPRING))
-            drives[0].link_laws = [AsymmetricTanh(*(p[name] for name in LINK_FRICTION))]
+            drives[0].spring = BacklashFlexibility(p["k"], p["alpha"], p["beta"])
+            drives[0].link_laws = [AsymmetricTanh(p["f_a1"], p["f_a2"])]
             links = OneLink(p["J_a"])
         else:
             drives[0].rotor, links = p["J"], OneLink(0.0)
@@ -282,7 +282,7 @@ class Twin(Section):
         return random.normal(scale=scale, size=(len(levels), n_samples))
 
 
-def _settings(machine: str, gear_ratio: Any, experiment: type[Section]) -> type[Twin]:
+def _settings(machine: str, gear_ratio: Any, excitation: type[Section]) -> type[Twin]:
     """Settings of one machine, whose sections `truth` and `model` have a key for each parameter, and no other."""
     truth: dict[str, Any] = {}
     for name in KINDS[machine].parameters:
@@ -299,15 +299,15 @@ def _settings(machine: str, gear_ratio: Any, experiment: type[Section]) -> type[
         __base__=Twin,
         gear_ratio=(gear_ratio, ...),
         truth=(create_model("Truth", __base__=Section, **truth), ...),
-        excitation=(Excitation[experiment], ...),
+        excitation=(excitation, ...),
         model=(create_model("Model", __base__=Section, **model), ...),
     )
 
 
 TWINS = {
-    "one_link": _settings("one_link", PositiveFloat, Experiment),
-    "one_link_flexible": _settings("one_link_flexible", PositiveFloat, Experiment),
-    "two_link": _settings("two_link", tuple[PositiveFloat, PositiveFloat], ArmExperiment),
+    "one_link": _settings("one_link", PositiveFloat, Excitation[Experiment]),
+    "one_link_flexible": _settings("one_link_flexible", PositiveFloat, Excitation[Experiment]),
+    "two_link": _settings("two_link", tuple[PositiveFloat, PositiveFloat], Excitation[ArmExperiment]),
 }
 
 
@@ -334,9 +334,9 @@ def model_description(config: Mapping[str, Any], seed: int, *, priors: bool = Fa
         known = getattr(twin.model.parameters, name)
         entries[name] = entry = {"nominal": float(f"{truth[name] * factor:.6g}"), **known}
         entry.pop("estimate" if priors and "prior_std" in known else "prior_std", None)
-    places = [
-        (f"joint{i}/motor_friction", "asymmetric_stribeck", (*LEVELS, "f_3"), motor)
-        for i, motor in enumerate(twin.kind.motors, start=1)
+    friction = ("asymmetric_stribeck", (*LEVELS, "f_3"))
+    places: list[tuple[str, str, tuple[str, ...], str]] = [
+        (f"joint{i}/motor_friction", *friction, motor) for i, motor in enumerate(twin.kind.motors, start=1)
     ]
     if twin.machine == "one_link_flexible":
         places.append(("joint1/transmission", "backlash_flexibility", SPRING, ""))

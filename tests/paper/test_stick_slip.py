@@ -10,6 +10,7 @@ from scipy.integrate import quad, solve_ivp
 
 from hybrid_id.machines.physics.friction import AsymmetricStribeck, Coulomb
 from hybrid_id.machines.physics.stick_slip import StickSlip, integrate
+from hybrid_id.machines.physics.transmission import BacklashFlexibility
 
 J, P_M1, P_M2, F_C, F_3 = 2e-5, 0.02, 0.025, 0.01, 5e-5
 COULOMB = Coulomb(F_C)
@@ -192,7 +193,9 @@ def test_spring_without_friction_and_motor_keeps_its_energy() -> None:
     states = integrate(drive, start, np.zeros((200, 2, 1)), TIME[:200], substeps=10)[:, :, 0]
     q_m, v_m, q_a, v_a = states[::20].T
     kinetic = 0.5 * FLEXIBLE["J_m"] * v_m**2 + 0.5 * FLEXIBLE["J_a"] * v_a**2
-    torque = drive.drives[0].spring.torque
+    spring = drive.drives[0].spring
+    assert isinstance(spring, BacklashFlexibility)
+    torque = spring.torque
     stored = [quad(lambda d: torque(d).item(), 0, end)[0] for end in q_m / R_1 - q_a]
     assert np.ptp(kinetic) > 0.1 * kinetic.max(), "the spring takes part"
     assert np.ptp(kinetic + stored) < 1e-6 * kinetic.max()

@@ -81,14 +81,3 @@ def test_spring_with_play_is_led() -> None:
         errors(controller(model, motion), truth, motion, substeps=4).item() for model in (truth, rigid)
     )
     assert led < 0.5 * followed
-
-
-def test_lanes_are_variants_of_the_model() -> None:
-    motion = reference([[(0.3, 0.5)]], duration=0.5, sample_time=STEP, fade=1.0)
-    theta = LINK.theta().detach()[:, None].repeat(1, 3)
-    theta[[i.name for i in LINK.table].index("J")] *= torch.tensor([0.75, 1.0, 1.25])
-    many = ComputedTorque(LINK, theta, motion, sample_time=STEP, bandwidth=30.0, limit=24.0)
-    q, v = np.full((1, 3), 0.2), np.full((1, 3), 5.0)
-    found = many.command(100, q, v)
-    np.testing.assert_allclose(found[:, 1:2], controller(LINK, motion).command(100, q[:, :1], v[:, :1]))
-    assert len(set(found.flatten())) == 3
