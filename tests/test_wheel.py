@@ -28,7 +28,7 @@ def test_unpacked_wheel_finds_its_data(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path / "site")
     code = (
         "from hybrid_id.reporting.page import Page; "
-        "from hybrid_id.reproduction.plan import config_folder, read_plan; "
+        "from hybrid_id.paper.stages import config_folder, read_plan; "
         "Page('title').html(); read_plan(quick=True); print(config_folder())"
     )
     run = [sys.executable, "-c", code]

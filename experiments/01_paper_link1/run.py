@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from score import CLAIMS, Campaign
 
-from hybrid_id.machines.twin.campaign import make_campaigns, model_description
+from hybrid_id.paper.twin import make_campaign, model_description
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.study import check_identifiability, identify
 from hybrid_id.systems.model_file import ModelFile, build_model
@@ -33,7 +33,8 @@ campaigns = {
     "without priors": Campaign(parameters=False),
     "with data-sheet priors": Campaign(parameters=True),
 }
-for seed, (dataset, truths) in enumerate(make_campaigns(config, range(options.seeds))):
+for seed in range(options.seeds):
+    dataset, truths = make_campaign(config, seed)
     for name, campaign in campaigns.items():
         description = model_description(config, seed, priors=name.startswith("with "))
         redraw_priors(description, seed)
@@ -41,7 +42,7 @@ for seed, (dataset, truths) in enumerate(make_campaigns(config, range(options.se
         if seed == 0:
             found = check_identifiability(dataset, system).summary()
             print(f"\n{name}: what the records identify, before any fit\n{found}")
-        campaign.add(seed, identify(dataset, system, seed=seed), truths, dataset)
+        campaign.add(config, identify(dataset, system, seed=seed), truths, dataset)
         print(f"seed {seed}, {name}: done", flush=True)
 result = {name: campaign.report(name) for name, campaign in campaigns.items()}
 print(

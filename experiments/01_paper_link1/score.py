@@ -2,15 +2,10 @@
 
 import numpy as np
 
-from hybrid_id.machines.twin.campaign import replay
-from hybrid_id.records.derivatives import smooth_derivatives
-from hybrid_id.records.record import Record
-from hybrid_id.statistics.fit import fit_percent
+from hybrid_id.paper.comparison import PRINTED
+from hybrid_id.paper.stages import truth_fits
 
-PAPER = {
-    "J": 16.345, "P_m1": 6.436, "P_m2": 6.888, "f_11": 3.590, "f_12": 7.742, "f_13": 8.402, "f_14": 11.688,
-    "f_21": 5.071, "f_22": 6.998, "f_23": 6.666, "f_24": 8.857, "f_3": 5.760,
-}  # fmt: skip
+PAPER = {name: percent for name, (percent, _) in PRINTED["link1"].parameters.items()}
 """Table 2, std/mean in %."""
 
 CLAIMS = """
@@ -35,7 +30,7 @@ class Campaign:
         self.z, self.percent, self.engine, self.fits, self.truth_fits = [], [], [], [], []
         self.names = self.rows = ()
 
-    def add(self, seed, study, truths, dataset):
+    def add(self, config, study, truths, dataset):
         """Scores one study: z of each claimed quantity (sets, k), std/mean, fits of the selected set."""
         told = study.identifiability
         truth = np.array([[run[name] for name in study.names] for run in truths])
@@ -60,7 +55,7 @@ class Campaign:
         self.engine.append(study.engine_error)
         chosen = study.selection.index
         self.fits.append(study.cross_validation.fits[chosen].mean(0))
-        self.truth_fits.append(truth_fit(dataset.train, truths, chosen))
+        self.truth_fits.append(truth_fits(config, dataset, truths, chosen, ("q_m1", "v_m1")).mean(0))
 
     def report(self, name):
         """Prints the table of the variant and returns its figures."""
@@ -96,14 +91,3 @@ class Campaign:
 def _share(z, limit):
     """Share of the errors that were scored within so many standard errors."""
     return np.mean(np.abs(z[np.isfinite(z)]) < limit)
-
-
-def truth_fit(records: tuple[Record, ...], truths, chosen: int) -> np.ndarray:
-    """Mean fit of position and (smoothed) velocity when the chosen run's true parameters simulate every record."""
-    own = [{**truths[chosen], "q_0": run["q_0"]} for run in truths]
-    fits = []
-    for record, simulated in zip(records, replay(records, own), strict=True):
-        angle = record.outputs["q_m1"]
-        speed = smooth_derivatives(angle, record.sample_time)[1]
-        fits.append([fit_percent(angle, simulated["q_m1"]), fit_percent(speed, simulated["v_m1"])])
-    return np.mean(fits, 0)

@@ -9,7 +9,7 @@ from compare import Comparison
 
 from hybrid_id.identification.adjoint import train
 from hybrid_id.identification.fit import fit
-from hybrid_id.machines.twin.campaign import make_campaign, model_description
+from hybrid_id.paper.twin import make_campaign, model_description
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.reporting.tensorboard import TrainingLog
 from hybrid_id.simulation.prepare import make_batch

@@ -7,9 +7,8 @@ import sys
 
 import numpy as np
 
-from hybrid_id.reproduction.comparison import PRINTED
-from hybrid_id.reproduction.plan import read_plan
-from hybrid_id.reproduction.stages import run_stage
+from hybrid_id.paper.comparison import PRINTED, parameter_table
+from hybrid_id.paper.stages import read_plan, run_stage
 
 STAGES = ("link1", "link2_high", "link2_low", "both_links")
 
@@ -21,13 +20,13 @@ def main(seeds=5):
     for seed in range(seeds):
         done = {}
         for stage in STAGES:
-            done[stage] = run_stage(plan.stages[stage], done, seed=seed)
+            done[stage] = run_stage(plan["stages"][stage], done, seed=seed)
         for k, stage in enumerate(STAGES[1:]):
             result = done[stage][0]
             column = result.names.index(PRINTED[stage].names.get("P_2", ("P_2", 1.0))[0])
             estimates, own = result.values[:, column], result.truths[:, column]
             found[seed, k] = (
-                result.percent[column],
+                parameter_table(stage, result).percent["P_2"],
                 100 * np.median(result.std_error[:, column] / estimates),
                 100 * np.sqrt(np.mean((estimates / own - 1) ** 2)),
             )

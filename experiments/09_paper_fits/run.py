@@ -8,10 +8,10 @@ import sys
 
 import numpy as np
 
-from hybrid_id.machines.twin.campaign import make_campaigns, replay
+from hybrid_id.paper.comparison import PRINTED
+from hybrid_id.paper.stages import read_plan, twin_settings
+from hybrid_id.paper.twin import make_campaign, replay
 from hybrid_id.records.derivatives import differentiate, smooth_derivatives
-from hybrid_id.reproduction.comparison import PRINTED
-from hybrid_id.reproduction.plan import read_plan, twin_settings
 from hybrid_id.statistics.fit import fit_percent
 
 WHOSE = ("own run's", "mean machine's", "another run's", "another run's, in band")
@@ -35,7 +35,7 @@ def fits(measured, simulated, signal, step, lowest):
 
 def stage_fits(config, signals, seeds):
     """Fit % by whose parameters, seed, record and signal."""
-    campaigns = make_campaigns(config, range(seeds))
+    campaigns = [make_campaign(config, seed) for seed in range(seeds)]
     records = [record for dataset, _ in campaigns for record in dataset.records]
     truths = [truth for _, runs in campaigns for truth in runs]
     starts = [{name: value for name, value in run.items() if name.startswith("q_0")} for run in truths]
@@ -49,7 +49,7 @@ def stage_fits(config, signals, seeds):
     lowest = [lowest_tone(plan) for plan in config["excitation"]["experiments"]] * seeds
     found = np.empty((len(WHOSE), len(records), len(signals)))
     for row, parameters in enumerate(sets.values()):
-        runs = replay(records, parameters, config=config, substeps=config["substeps"])
+        runs = replay(config, records, parameters)
         for i, (record, run) in enumerate(zip(records, runs, strict=True)):
             for k, signal in enumerate(signals):
                 measured = record.outputs[f"q_{signal[2:]}"]
@@ -64,23 +64,23 @@ def main(seeds="20", drift=None, *stages):
     """Print a line for each stage, signal, and whose parameters are replayed."""
     plan = read_plan(quick=False)
     for stage in stages or PRINTED:
-        table, (config, _) = PRINTED[stage], twin_settings(plan.stages[stage], quick=False)
-        signals = [table.names.get(name, (name, 1.0))[0] for name in table.fit_rows]
+        table, (config, _) = PRINTED[stage], twin_settings(plan["stages"][stage], quick=False)
+        signals = [table.names.get(name, (name, 1.0))[0] for name in table.fits]
         if drift is not None:
             config["disturbances"]["friction_drift"] = float(drift)
         found = stage_fits(config, signals, int(seeds))
         means = found.mean(2)
         spreads = 100 * found.std(2, ddof=1) / means
-        for k, (name, printed) in enumerate(table.fit_rows.items()):
+        for k, (name, (mean_fit, _, percent)) in enumerate(table.fits.items()):
             print(
-                f"Table {table.fits} {name}, drift {config['disturbances']['friction_drift']:g}: "
-                f"printed {printed.mean:.2f} %, std/mean {printed.percent:.2f} %"
+                f"Table {table.numbers[1]} {name}, drift {config['disturbances']['friction_drift']:g}: "
+                f"printed {mean_fit:.2f} %, std/mean {percent:.2f} %"
             )
             for row, whose in enumerate(WHOSE):
                 mean, spread = means[row, :, k], spreads[row, :, k]
                 if np.isnan(mean).any():
                     continue
-                above, below = np.mean(mean >= printed.mean), np.mean(spread < printed.percent)
+                above, below = np.mean(mean >= mean_fit), np.mean(spread < percent)
                 print(
                     f"  {whose:24s} {mean.mean():6.2f} ± {mean.std():4.2f} % ({above:4.0%} of seeds at or above), "
                     f"std/mean {spread.mean():5.2f} ± {spread.std():4.2f} % ({below:4.0%} below)",

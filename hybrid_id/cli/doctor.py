@@ -61,7 +61,7 @@ def doctor(
 
 def _tried() -> dict[str, Any]:
     """The self-test, or what kept it from its end: a package that is missing, say."""
-    from hybrid_id.study.self_test import self_test
+    from hybrid_id.paper.demo import self_test
 
     try:
         return self_test()
@@ -73,7 +73,7 @@ def machine() -> dict[str, Any]:
     """What the machine offers."""
     import torch
 
-    from hybrid_id.study.self_test import compiler
+    from hybrid_id.paper.demo import compiler
 
     gpu = torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
     return {
@@ -100,8 +100,8 @@ def packages() -> dict[str, str | None]:
 
 def _say(state: dict[str, Any]) -> None:
     """The same for a reader."""
+    from hybrid_id.paper.demo import FIT, MOST_ERRORS
     from hybrid_id.reporting.tables import open_table
-    from hybrid_id.study.self_test import FIT, MOST_ERRORS
 
     table = open_table("what", "here")
     words = {"gpu": "none", "compiler": "none: the compiled engine is not available"}

@@ -13,8 +13,6 @@ from hybrid_id.config import Identification
 from hybrid_id.records.files import make_folder
 from hybrid_id.reporting.provenance import program
 
-PARTS = "parts"
-
 
 def reproduce(
     out: Annotated[
@@ -37,44 +35,33 @@ def reproduce(
 
     Each stage is kept as soon as it is done. After Ctrl-C the same command goes on from there.
     """
-    parts = out / PARTS
-    refuse_foreign(out, PARTS, "*.json")
+    parts = out / "parts"
+    refuse_foreign(out, parts.name, "*.json")
     make_folder(parts)
     use_threads(threads)
-    from hybrid_id.reproduction.run import reproduce as run
-
-    try:
-        with sole_writer(parts), FitProgress(1, Identification().max_iterations, polite=False) as progress:
-            result = run(
-                parts,
-                quick=quick,
-                seeds=seeds or (2 if quick else 20),
-                program=program(),
-                say=remark,
-                progress=progress,
-            )
-    except KeyboardInterrupt:
-        remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")
-        raise typer.Exit(130) from None
+    from hybrid_id.paper.page import QUICK, claims_table, paper_page
+    from hybrid_id.paper.run import reproduce as run
     from hybrid_id.reporting.page import how_made
-    from hybrid_id.reporting.paper import QUICK, claims_table, paper_figures, paper_page
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.style import save
 
-    found = result.claims
-    figures = paper_figures(result)
+    seeds = seeds or (2 if quick else 20)
+    try:
+        with sole_writer(parts), FitProgress(1, Identification().max_iterations, polite=False) as progress:
+            result = run(parts, quick=quick, seeds=seeds, program=program(), say=remark, progress=progress)
+    except KeyboardInterrupt:
+        remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")
+        raise typer.Exit(130) from None
+    page, figures = paper_page(result, quick=quick)
     for name, figure in figures.items():
         save(figure, parts / f"{name}.png")
-    page = parts / "report.html"
     made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
-    how_made(paper_page(result, figures, quick=quick), "reproduce", settings=made).write(page)
-    page.replace(out / "report.html")
-    text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
+    how_made(page, "reproduce", settings=made).write(parts / "report.html")
+    (parts / "report.html").replace(out / "report.html")
+    text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in result.claims]})
     write_last(parts / RESULT, text)
     (parts / RESULT).replace(out / RESULT)
     if as_json:
         return show(text)
-    show(claims_table(found))
-    if quick:
-        show(QUICK)
+    show(claims_table(result.claims), *([QUICK] if quick else []))
     show(f"all tables and figures are in {out / 'report.html'}; stages, models and pictures in {parts}")

@@ -13,7 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from hybrid_id import __version__
 from hybrid_id.config import load_config
-from hybrid_id.machines.twin.settings import read_settings
+from hybrid_id.paper.twin import read_settings
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.study.ablation import CellResult, Rung, Task
 from hybrid_id.study.ablation_plan import NONE, Cell

@@ -20,7 +20,7 @@ from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.machines.twin import desk_arm
+from hybrid_id.machines import desk_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml, write_yaml

@@ -41,7 +41,7 @@ from hybrid_id.config import StudyConfig, load_config, study_config
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.identification.least_squares import Options
-from hybrid_id.machines.twin.demo import DEMO
+from hybrid_id.paper.demo import DEMO
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.processes import fit_share

@@ -26,7 +26,7 @@ def test_doctor_tells_the_machine_and_passes_its_self_test(run) -> None:
 
 def test_doctor_fails_aloud(run, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = {"passed": False, "off": ["J"], "fit_percent": 12.0, "seconds": 1.0, "parameters": {"J": {}}}
-    monkeypatch.setattr("hybrid_id.study.self_test.self_test", lambda: failed)
+    monkeypatch.setattr("hybrid_id.paper.demo.self_test", lambda: failed)
     monkeypatch.setattr(module, "version", lambda name: "9.9")
     done = run("doctor")
     assert done.code == 1
@@ -36,7 +36,7 @@ def test_doctor_fails_aloud(run, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_doctor_compiles_ahead(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("hybrid_id.simulation.c_code.AHEAD", tmp_path / "share/hybrid_id")
     monkeypatch.setattr("hybrid_id.study.ahead.shipped", lambda: [one_link()])
-    monkeypatch.setattr("hybrid_id.study.self_test.self_test", lambda: {"passed": True, "error": "not run"})
+    monkeypatch.setattr("hybrid_id.paper.demo.self_test", lambda: {"passed": True, "error": "not run"})
     done = run("doctor", "--ahead")
     assert done.code == 0 and "compiled ahead: 1 system" in done.err
     kept = list((tmp_path / "share/hybrid_id").glob("*.so"))
@@ -47,7 +47,7 @@ def test_doctor_says_what_kept_the_self_test_from_its_end(run, monkeypatch: pyte
     def missing() -> None:
         raise ModuleNotFoundError("No module named 'pandas'")
 
-    monkeypatch.setattr("hybrid_id.study.self_test.self_test", missing)
+    monkeypatch.setattr("hybrid_id.paper.demo.self_test", missing)
     done = run("doctor")
     assert done.code == 1
     assert (

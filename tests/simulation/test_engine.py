@@ -5,7 +5,7 @@ import pytest
 import torch
 from drives import STEP, batch_of, flexible_drive, rigid_drive, run, stored
 from machines.scipy_reference import integrate_scipy
-from machines.twin.twins import rigid
+from paper.twins import rigid
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre, Stribeck
 from hybrid_id.errors import InputError

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_id.machines.twin import desk_arm
-from hybrid_id.machines.twin.desk_arm import SPREAD, write_arm
+from hybrid_id.machines import desk_arm
+from hybrid_id.machines.desk_arm import SPREAD, write_arm
 from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")

@@ -1,0 +1,1 @@
+"""The source paper on digital twins: twins, stages, tables beside the printed ones, controllers, and the page."""

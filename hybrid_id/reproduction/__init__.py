@@ -1,1 +1,0 @@
-"""The paper's campaign, section by section, on digital twins: its stages, its tables, its controllers."""

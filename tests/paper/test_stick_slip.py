@@ -1,0 +1,256 @@
+"""The twins' physics: closed forms, equations written out once more, conserved quantities, and scipy's event solver."""
+
+# pyright: reportAttributeAccessIssue=false
+
+import numpy as np
+import pytest
+from machines.scipy_reference import integrate_scipy
+from paper.twins import LEVELS, config, mechanism, rigid, sines
+from scipy.integrate import quad, solve_ivp
+
+from hybrid_id.machines.physics.friction import AsymmetricStribeck, Coulomb
+from hybrid_id.machines.physics.stick_slip import StickSlip, integrate
+from hybrid_id.machines.physics.transmission import BacklashFlexibility
+
+J, P_M1, P_M2, F_C, F_3 = 2e-5, 0.02, 0.025, 0.01, 5e-5
+COULOMB = Coulomb(F_C)
+DRY = AsymmetricStribeck(0.010, 0.030, 10.541, 53.005, 0.010, 0.031, 11.313, 58.093)
+LINK_1 = {"J": 1.97e-5, "P_m1": 19.249e-3, "P_m2": 0.025, "f_3": 5.04e-5}
+TIME = 0.002 * np.arange(300)
+FLEXIBLE, ARM = config("link1_flexible")["truth"], config("both_links")["truth"]
+R_1, R_2 = config("both_links")["gear_ratio"]
+VOLTAGE = sines(TIME, 16.0, [1.5, 3.3, 6.1, 9.0], 1.3)
+VOLTAGES = np.stack([sines(TIME, 14.0, [1.5, 3.3, 6.1], 1.0), sines(TIME, 3.0, [1.3, 2.9, 5.1], 2.0)], axis=1)
+
+
+def with_torques(voltages: np.ndarray) -> np.ndarray:
+    """Inputs (T, n_inputs) of one run without random torques."""
+    voltages = voltages.reshape(len(voltages), -1)
+    return np.hstack((voltages, np.zeros_like(voltages)))
+
+
+def run(drive: StickSlip, voltage: np.ndarray, q_0: float = 0.0, v_0: float = 0.0):
+    """Angle and speed of one run of a rigid drive."""
+    time, inputs = 0.002 * np.arange(len(voltage)), with_torques(voltage)[:, :, None]
+    states = integrate(drive, np.array([[q_0], [v_0]]), inputs, time)
+    return states[:, 0, 0], states[:, 1, 0]
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_coulomb_coast_down_is_a_parabola_that_ends(direction: float) -> None:
+    q, v = run(rigid(COULOMB, J=J, P_m1=P_M1, P_m2=0.0), np.zeros(100), v_0=direction * 50.0)
+    t = np.minimum(0.002 * np.arange(100), 50.0 * J / F_C)  # stops here, between two samples
+    np.testing.assert_allclose(v, direction * (50.0 - F_C / J * t), atol=1e-11)
+    np.testing.assert_allclose(q, direction * (50.0 * t - F_C / J * t**2 / 2), atol=1e-11)
+    assert v[-1] == 0.0
+
+
+def test_step_response_with_viscous_friction_is_exponential() -> None:
+    _, v = run(rigid(COULOMB, J=J, P_m1=P_M1, P_m2=P_M2, f_3=F_3), np.full(300, 6.0))
+    damping = P_M1 * P_M2 + F_3
+    steady = (P_M1 * 6.0 - F_C) / damping
+    np.testing.assert_allclose(v, steady * (1 - np.exp(-damping / J * TIME)), atol=1e-8)
+
+
+def test_each_side_breaks_away_at_its_own_level_at_rest() -> None:
+    dry = AsymmetricStribeck(0.010, 0.030, 10.0, 50.0, 0.010, 0.035, 10.0, 50.0)
+    drive = rigid(dry, J=J, P_m1=P_M1, P_m2=P_M2, f_3=F_3)
+    rest = np.exp(-((10.0 / 50.0) ** 2))  # eq. (15) at zero speed lies under its peak
+    for side, level in ((1.0, 0.010 + 0.020 * rest), (-1.0, 0.010 + 0.025 * rest)):
+        q, v = run(drive, np.full(50, side * level / P_M1 * 0.9999))
+        assert not q.any() and not v.any()
+        assert side * run(drive, np.full(50, side * level / P_M1 * 1.0001))[1][-1] > 0
+
+
+def test_pendulum_keeps_its_energy_but_for_the_work_of_friction_and_then_sticks() -> None:
+    r, G_l = 50.0, 3.0
+    free = rigid(J=J, P_m1=0.0, P_m2=0.0, G_l=G_l, r=r)
+    q, v = run(free, np.zeros(1000), q_0=1.5 * r)
+    assert np.ptp(0.5 * J * v**2 - G_l * np.cos(q / r)) < 1e-9 * G_l and np.ptp(q) > 2.9 * r
+    q, v = run(rigid(COULOMB, J=J, P_m1=0.0, P_m2=0.0, G_l=G_l, r=r), np.zeros(1000), q_0=1.2 * r)
+    assert not v[-100:].any()
+    assert abs(G_l / r * np.sin(q[-1] / r)) < F_C
+    lost = G_l * (np.cos(q[-1] / r) - np.cos(1.2))
+    np.testing.assert_allclose(lost, F_C * np.abs(np.diff(q)).sum(), rtol=2e-3)  # path length by samples
+
+
+def excitation(n_samples: int, runs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Time (T,) and inputs (T, 2, runs): sums of sines with many reversals, and random torques."""
+    random = np.random.default_rng(3)
+    time = 0.002 * np.arange(n_samples)
+    tones = np.arange(1, 12)[:, None] * 0.8
+    phases = random.uniform(0, 2 * np.pi, (runs, 11, 1))
+    inputs = random.normal(scale=5e-5, size=(n_samples, 2, runs))
+    inputs[:, 0] = 1.6 * np.cos(2 * np.pi * tones * time + phases).sum(axis=1).T
+    return time, inputs
+
+
+def test_rigid_drive_agrees_with_scipy_events_far_below_the_encoder() -> None:
+    time, inputs = excitation(500, 1)
+    drive = rigid(DRY, **LINK_1)
+    fast = integrate(drive, np.zeros((2, 1)), inputs, time)[:, :, 0]
+    exact = integrate_scipy(drive, np.zeros(2), inputs[:, :, 0], time)
+    assert np.count_nonzero(np.diff(np.sign(exact[:, 1]))) >= 8, "the test needs stick and slip"
+    assert np.any(exact[5:, 1] == 0), "the test needs sticking"
+    assert np.abs(fast - exact)[:, 0].max() < 1e-7 * 2 * np.pi / 2000
+    assert np.abs(fast - exact)[:, 1].max() < 1e-8
+
+
+def test_fourth_order_across_stick_and_slip() -> None:
+    time, inputs = excitation(400, 3)
+    drive, start = rigid(DRY, **LINK_1), np.zeros((2, 3))
+    exact = integrate(drive, start, inputs, time, substeps=24)
+    errors = [
+        np.abs(integrate(drive, start, inputs, time, substeps=n) - exact)[:, 0].max() for n in (1, 2, 4)
+    ]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all(orders > 3.6), (errors, orders)
+
+
+def test_runs_side_by_side_equal_runs_alone() -> None:
+    time, inputs = excitation(200, 4)
+    inertias = np.array([1.5e-5, 1.97e-5, 2.4e-5, 3e-5])
+    together = integrate(rigid(DRY, **LINK_1 | {"J": inertias}), np.zeros((2, 4)), inputs, time, substeps=2)
+    for b, inertia in enumerate(inertias):
+        drive = rigid(DRY, **LINK_1 | {"J": inertia})
+        alone = integrate(drive, np.zeros((2, 1)), inputs[:, :, b : b + 1], time, substeps=2)
+        np.testing.assert_allclose(together[:, :, b], alone[:, :, 0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("stage", "voltages", "substeps", "close"),
+    [("link1_flexible", VOLTAGE, 10, 1e-5), ("both_links", VOLTAGES, 4, 1e-6)],
+)
+def test_spring_and_arm_agree_with_scipy_events(stage: str, voltages, substeps: int, close: float) -> None:
+    machine, start = mechanism(stage, ripple=True)
+    inputs = with_torques(voltages)
+    fast = integrate(machine, start, inputs[:, :, None], TIME, substeps=substeps)[:, :, 0]
+    exact = integrate_scipy(machine, start[:, 0], inputs, TIME)
+    for speed in exact[:, 1 : 2 * voltages.ndim : 2].T:
+        assert np.count_nonzero(np.diff(np.sign(speed))) >= 4 and np.any(speed[10:] == 0)
+    if stage == "link1_flexible":
+        assert np.abs(exact[:, 3][exact[:, 1] == 0]).max() > 0.05, "the link moves while the motor sticks"
+    assert np.abs(fast - exact)[:, : 2 * voltages.ndim : 2].max() < close
+
+
+def smooth_friction(p: dict[str, float], motor: str, speed: float) -> float:
+    """Eq. (15)-(16) with tanh in place of the sign."""
+    side = 1 if speed > 0 else 2
+    f_1, f_2, f_3, f_4 = (p[f"f_{side}{j}{motor}"] for j in (1, 2, 3, 4))
+    level = f_1 + (f_2 - f_1) * np.exp(-(((abs(speed) - f_3) / f_4) ** 2))
+    return p[f"f_3{motor}"] * speed + level * np.tanh(speed / 0.01)
+
+
+def flexible_rate(t: float, x: np.ndarray) -> list[float]:
+    """Eq. (5), (9), (12) written out once more."""
+    p, (q_m, v_m, q_a, v_a) = FLEXIBLE, x
+    d = q_m / R_1 - q_a
+    spring = p["k"] * d * (1 - (1 / np.cosh(p["beta"] * d)) ** p["alpha"])
+    motor = p["P_m1"] * (VOLTAGE[min(int(t / 0.002), 299)] - p["P_m2"] * v_m) - smooth_friction(p, "", v_m)
+    link = spring - (p["f_a1"] if v_a > 0 else p["f_a2"]) * np.tanh(70 * v_a)
+    return [v_m, (motor - spring / R_1) / p["J_m"], v_a, link / p["J_a"]]
+
+
+def mass(cos_2: np.ndarray | float) -> np.ndarray:
+    """Mass matrix at the links, by the reading notes."""
+    p_1, p_2, p_3, p_4 = (ARM[f"P_{i}"] for i in (1, 2, 3, 4))
+    coupling = p_4 + p_3 * cos_2
+    return np.array([[p_1 + 2 * p_3 * cos_2, coupling], [coupling, p_2 + 0 * cos_2]])
+
+
+def arm_rate(t: float, x: np.ndarray) -> list[float]:
+    """Eq. (13)-(14) at the links, written out once more; the state is that of the motors."""
+    (q_2, v), u = (x[2] / R_2, x[1::2] / [R_1, R_2]), VOLTAGES[min(int(t / 0.002), 299)]
+    swing = ARM["P_3"] * np.sin(q_2)
+    c = np.array([-swing * (2 * v[0] * v[1] + v[1] ** 2), swing * v[0] ** 2])
+    torque = np.zeros(2)
+    for i, (motor, r) in enumerate((("m1", R_1), ("m2", R_2))):
+        drive = ARM[f"P_m1{motor}"] * (u[i] - ARM[f"P_m2{motor}"] * x[2 * i + 1])
+        torque[i] = r * (drive - smooth_friction(ARM, motor, x[2 * i + 1]))
+    a_1, a_2 = np.linalg.solve(mass(np.cos(q_2)), torque - c)
+    return [x[1], R_1 * a_1, x[3], R_2 * a_2]
+
+
+@pytest.mark.parametrize(
+    ("stage", "voltages", "rate", "end"),
+    [("link1_flexible", VOLTAGE, flexible_rate, 120), ("both_links", VOLTAGES, arm_rate, 150)],
+)
+def test_smoothed_friction_converges_to_the_set_valued(stage: str, voltages, rate, end: int) -> None:
+    """Through a stiff solver that knows no events."""
+    machine, start = mechanism(stage)
+    time = TIME[: end + 1]
+    smooth = solve_ivp(
+        rate, (0, TIME[end]), start[:, 0], "LSODA", time, rtol=1e-7, atol=1e-8, max_step=5e-4
+    ).y
+    dry = integrate(machine, start, with_torques(voltages)[:, :, None], time, substeps=4)[:, :, 0]
+    for row in (0, 2):
+        assert np.abs(smooth[row] - dry[:, row]).max() < 2e-3 * np.ptp(dry[:, row])
+
+
+def test_spring_without_friction_and_motor_keeps_its_energy() -> None:
+    drive, _ = mechanism("link1_flexible", P_m1=0.0, f_a1=0.0, f_a2=0.0, **dict.fromkeys(LEVELS, 0.0))
+    start = np.array([[0.0], [60.0], [0.05], [-1.0]])
+    states = integrate(drive, start, np.zeros((200, 2, 1)), TIME[:200], substeps=10)[:, :, 0]
+    q_m, v_m, q_a, v_a = states[::20].T
+    kinetic = 0.5 * FLEXIBLE["J_m"] * v_m**2 + 0.5 * FLEXIBLE["J_a"] * v_a**2
+    spring = drive.drives[0].spring
+    assert isinstance(spring, BacklashFlexibility)
+    torque = spring.torque
+    stored = [quad(lambda d: torque(d).item(), 0, end)[0] for end in q_m / R_1 - q_a]
+    assert np.ptp(kinetic) > 0.1 * kinetic.max(), "the spring takes part"
+    assert np.ptp(kinetic + stored) < 1e-6 * kinetic.max()
+
+
+def test_arm_without_friction_and_motors_keeps_energy_and_momentum() -> None:
+    none = {name + motor: 0.0 for name in (*LEVELS, "P_m1") for motor in ("m1", "m2")}
+    machine, _ = mechanism("both_links", **none)
+    start = np.array([[0.0], [0.8 * R_1], [0.4 * R_2], [-6.0 * R_2]])
+    x = integrate(machine, start, np.zeros((500, 4, 1)), 0.002 * np.arange(500), substeps=4)[:, :, 0]
+    matrices = mass(np.cos(x[:, 2] / R_2))
+    v = np.array([x[:, 1] / R_1, x[:, 3] / R_2])
+    energy = 0.5 * np.einsum("it,ijt,jt->t", v, matrices, v)
+    momentum = matrices[0, 0] * v[0] + matrices[0, 1] * v[1]
+    assert np.ptp(v[0]) > 0.5, "the joints exchange momentum"
+    assert np.ptp(energy) < 1e-8 * energy[0]
+    assert np.ptp(momentum) < 1e-8
+
+
+def test_sticking_of_both_joints_is_the_solution_of_the_box_problem() -> None:
+    """Joints at rest: a = M^-1 (b - f) with f_i in the friction interval, f_i = its end where a_i is not 0."""
+    random = np.random.default_rng(0)
+    n = 200
+    machine, _ = mechanism("both_links")
+    x, u = np.zeros((4, n)), np.zeros((4, n))
+    x[2] = random.uniform(-np.pi, np.pi, n) * R_2
+    u[0], u[1] = random.uniform(-6, 6, n), random.uniform(-1, 1, n)
+    _, mode = machine.solve_sticking(x, np.zeros((2, n)), u, np.ones((2, n), bool))
+    scale = np.array([[R_1**2, R_1 * R_2], [1.0, R_2**2]])[..., None]
+    (m_11, m_12), (_, m_22) = mass(np.cos(x[2] / R_2)) / scale
+    levels = np.array(
+        [[sign * drive.rotor_laws[0].levels(np.zeros(1))[side].item() for sign, side in ((-1, 1), (1, 0))]
+         for drive in machine.drives]
+    )  # fmt: skip
+    applied = np.array([ARM["P_m1m1"] * u[0], ARM["P_m1m2"] * u[1]])
+    inverse = np.array([[m_22 + 0 * m_11, -m_12], [-m_12, m_11]]) / (m_11 * m_22 - m_12**2)
+    friction = np.zeros((2, n))
+    for _ in range(
+        3000
+    ):  # projected descent on the convex problem, which shares nothing with the enumeration
+        a = np.einsum("ijn,jn->in", inverse, applied - friction)
+        friction = np.clip(friction + 8e-6 * a, levels[:, :1], levels[:, 1:])
+    a = np.einsum("ijn,jn->in", inverse, applied - friction)
+    np.testing.assert_array_equal(mode, np.where(np.abs(a) > 1e-6, np.sign(a), 0.0))
+    assert {(s, t) for s, t in mode.T} == {(s, t) for s in (-1, 0, 1) for t in (-1, 0, 1)}, "all nine occur"
+
+
+class Contradiction(StickSlip):
+    """Says at every stop that it goes on sliding the way it came."""
+
+    def solve_sticking(self, x, mode, u, at_rest):
+        return np.array([x[0], np.where(at_rest[0], 0.0, x[1])]), mode
+
+
+def test_a_mechanism_that_contradicts_itself_is_an_error() -> None:
+    drive = Contradiction(rigid(DRY, **LINK_1).machine)
+    with pytest.raises(RuntimeError, match="switches between stick and slip within one step"):
+        integrate(drive, np.array([[0.0], [5.0]]), np.zeros((20, 2, 1)), TIME[:20])
