@@ -184,22 +184,6 @@ def _row(one: Judged) -> str:
     return one.family if one.family in ("none", "unknown") else one.effect
 
 
-def of_ties(rows: Mapping[str, Mapping[str, Any]], target: float) -> dict[str, Any]:
-    """Share of the ties that further records resolve, and of the cases in which they show just what was at work.
-
-    Whether the first one meets its target is in ``met``, whether all of its interval does in ``shown``.
-
-    Args:
-        rows: for each case its ``ties``, each with whether it is ``resolved``, and whether all is ``right``.
-        target: share of ties that is to be resolved.
-    """
-    ties = [tie["resolved"] for row in rows.values() for tie in row["ties"]]
-    found = share(ties) if ties else None
-    shares = {"resolved": found, "right": share([row["right"] for row in rows.values()]) if rows else None}
-    met, shown = (found and bool(found[key] >= target) for key in ("value", "low"))
-    return {"cases": dict(rows)} | shares | {"target": target, "met": met, "shown": shown}
-
-
 @dataclass(frozen=True)
 class Target:
     """One figure that was aimed at before the first run.
