@@ -106,7 +106,9 @@ def make(
     """
     if open_answers and answers is not None:
         raise InputError("--answers and --open-answers contradict each other; give one of them")
-    options = work.generator_options(system, family, effect, level, engine, realism)
+    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    if realism != "clean":
+        options["realism"] = realism
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
     work.make_sealed(out, archive, cases, work.seed_of(seed), options, jobs, first)
 

@@ -25,8 +25,6 @@ OF_RUN: Mapping[str, Any] = {"commit": str, "started": str, "train_records": int
 OF_CASES: Mapping[str, Any] = {"seed": int, "asked": int, "names": list, "options": dict, "commit": str}
 """What a benchmark report says of a run and of its cases, and the kind of each value."""
 
-# ---- cases are made ----
-
 
 def seed_of(text: str) -> int:
     """A seed from a number, or from the hash of the commit that is running."""
@@ -38,14 +36,6 @@ def seed_of(text: str) -> int:
     if at == UNKNOWN or DIRTY in at:
         raise InputError("--seed commit needs a checkout without changes; commit them, or give a number")
     return int(at[:8], 16)
-
-
-def generator_options(
-    system: str | None, family: str | None, effect: str | None, level: str | None, engine: str | None, realism: str
-) -> dict[str, str | None]:  # fmt: skip
-    """Options of the generator as the manifest holds them; clean cases hold as much as before there were others."""
-    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
-    return options if realism == "clean" else options | {"realism": realism}
 
 
 def make_sealed(
@@ -72,9 +62,11 @@ def make_sealed(
         InputError: the cases or their answers cannot go there, or none could be made.
     """
     from hybrid_id.baselines.run import read_case
+    from hybrid_id.machines.make import make_cases
     from hybrid_id.machines.seal import ANSWERS, is_half_sealed, seal, was_sealed
     from hybrid_id.records.files import write_json
     from hybrid_id.reporting.tables import count
+    from hybrid_id.study.fan_out import whole_pool
 
     begun = out / BEGUN
     about: dict[str, Any] = {
@@ -105,7 +97,23 @@ def make_sealed(
     out.mkdir(parents=True, exist_ok=True)
     with sole_writer(out):
         write_json(begun, about)
-        made = _make(out, cases, seed, options, jobs, first)
+        try:
+            advice = f"the same command goes on with the cases in {out}, better with fewer --jobs"
+            with counting("cases") as bar, whole_pool(advice):
+                task = bar.add_task("cases", total=cases)
+                made = make_cases(
+                    cases, seed, out, first=first, jobs=jobs, done=lambda: bar.advance(task), **options
+                )
+            if not made:
+                raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
+        except MachineError:
+            raise
+        except InputError:
+            begun.unlink()
+            remove_empty([out])
+            raise
         if len(made) < cases:
             remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
         about["made"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -114,36 +122,6 @@ def make_sealed(
         begun.unlink()
     show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
     show(f"hash of the answers: {sealed}")
-
-
-def _make(
-    out: Path, cases: int, seed: int, options: dict[str, str | None], jobs: int, first: int
-) -> list[Path]:
-    """Make cases in a folder that remembers what it is to hold until they are sealed."""
-    from hybrid_id.machines.make import make_cases
-    from hybrid_id.study.fan_out import whole_pool
-
-    try:
-        advice = f"the same command goes on with the cases in {out}, better with fewer --jobs"
-        with counting("cases") as bar, whole_pool(advice):
-            task = bar.add_task("cases", total=cases)
-            made = make_cases(
-                cases, seed, out, first=first, jobs=jobs, done=lambda: bar.advance(task), **options
-            )
-        if not made:
-            raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
-    except MachineError:
-        raise
-    except InputError:
-        (out / BEGUN).unlink()
-        remove_empty([out])
-        raise
-    return made
-
-
-# ---- cases are diagnosed ----
 
 
 def run_methods(
@@ -177,7 +155,7 @@ def run_methods(
         raise InputError(f"{cases} and its manifest differ in {', '.join(missing[:5])}; make the cases anew")
     begun = [
         out / name for name in (*METHODS, "external")
-    ]  # a run killed before its first line leaves it empty
+    ]  # empty where a run was killed before its first line
     if any(p not in begun or visible(p) for p in visible(out)) and not any(out.glob("*/run.json")):
         raise InputError(f"{out} holds files that are no runs; give another folder")
     broken, todo = 0, read_cases(cases, manifest)
@@ -235,9 +213,6 @@ def _diagnose(
     return broken
 
 
-# ---- diagnoses are scored ----
-
-
 def gathered(
     runs: Sequence[Path], archives: Sequence[Path], order: Sequence[str], *, partial: bool = False
 ) -> dict[str, Any]:
@@ -254,56 +229,72 @@ def gathered(
             were not run.
     """
     from hybrid_id.machines.score import against_targets, scores
+    from hybrid_id.machines.seal import MANIFEST
 
     if len(runs) != len(archives):
         raise InputError(f"{len(runs)} folders of runs but {len(archives)} archives; give --answers for each")
-    parts = [_runs_in(folder, order) for folder in runs]
-    by_method, manifests = parts[0], [next(iter(part.values()))["cases"] for part in parts]
-    _check_parts(runs, parts, manifests)
-    judged: dict[str, list[Judged]] = {method: [] for method in by_method}
+    judged: dict[str, list[Judged]] = {}
+    manifests, programs, by_method = [], [], {}
     for folder, archive in zip(runs, archives, strict=True):
-        part = {method: judge_run(folder / method, archive, partial=partial) for method in by_method}
-        shared = set.intersection(*({one.case for one in cases} for cases in part.values()))
-        for method, cases in part.items():  # of an unfinished run, the cases that all methods have diagnosed
-            judged[method] += [one for one in cases if one.case in shared]
+        part = {method: _complete(folder / method) for method in order if (folder / method).is_dir()}
+        if not part:
+            cases = (folder / MANIFEST).exists()
+            command = f"{folder} --out RUNS" if cases else f"CASES --out {folder}"
+            raise InputError(
+                f"{folder} holds no run{', but cases' if cases else ''}; 'hybrid-id blind run {command}' makes one"
+            )
+        manifest = next(iter(part.values()))["cases"]
+        if any(run["cases"] != manifest for run in part.values()):
+            raise InputError(f"the runs in {folder} are of different cases; give each a folder of its own")
+        known = {
+            m: [run.get(key) for key in ("commit", "train_records", "command")] for m, run in part.items()
+        }
+        programs.append([known, *(manifest[key] for key in ("seed", "options", "commit"))])
+        if programs[-1] != programs[0]:
+            raise InputError(
+                f"{folder} and {runs[0]} differ in seed, kind of cases, method, command or commit; score them apart"
+            )
+        number = 1 + sum(one["asked"] for one in manifests)
+        if len(runs) > 1 and manifest.get("first", 1) != number:
+            raise InputError(f"{folder} does not begin with case {number}; give all parts, in their order")
+        manifests.append(manifest)
+        by_method = by_method or part
+        cases = {method: judge_run(folder / method, archive, partial=partial) for method in part}
+        # of an unfinished run, the cases that all methods have diagnosed
+        shared = set.intersection(*({one.case for one in ones} for ones in cases.values()))
+        for method, ones in cases.items():
+            judged.setdefault(method, []).extend(one for one in ones if one.case in shared)
     methods = {}
-    for method, cases in judged.items():
-        found = scores(cases)
-        plain = [dataclasses.asdict(one) for one in cases]
-        realism = next((one.realism for one in cases), "clean")
-        methods[method] = {"scores": found, "targets": against_targets(found, realism), "judged": plain}
-    first, manifest = next(iter(by_method)), manifests[0]
+    for method, ones in judged.items():
+        found = scores(ones)
+        targets = against_targets(found, next((one.realism for one in ones), "clean"))
+        methods[method] = {
+            "scores": found,
+            "targets": targets,
+            "judged": [dataclasses.asdict(one) for one in ones],
+        }
+    (first, run), manifest = next(iter(by_method.items())), manifests[0]
     asked = sum(one["asked"] for one in manifests)
+    options = {"seed": manifest["seed"], "cases": asked, "first": manifest.get("first", 1)} | manifest[
+        "options"
+    ]
+    words = [
+        word for name, value in options.items() if value is not None for word in (f"--{name}", str(value))
+    ]
     about = {
-        "date": by_method[first]["started"][:10],
-        "commit": by_method[first]["commit"],
+        "date": run["started"][:10],
+        "commit": run["commit"],
         "commits": {method: run["commit"] for method, run in by_method.items()},
         "seed": manifest["seed"],
         "asked": asked,
         "cases": sum(len(one["names"]) for one in manifests),
         "scored": len(judged[first]),
+        "train_records": run["train_records"],
         "made_at": manifest["commit"],
         "sha256": [one["answers"]["sha256"] for one in manifests],
-        "commands": _commands(manifest | {"asked": asked}, by_method),
+        "command": shlex.join(["hybrid-id", "blind", "make", "--out", "cases", *words]),
     }
     return {"about": about, "methods": methods}
-
-
-def _runs_in(folder: Path, order: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """What each method's run in a folder is about."""
-    by_method = {method: _complete(folder / method) for method in order if (folder / method).is_dir()}
-    if not by_method:
-        from hybrid_id.machines.seal import MANIFEST
-
-        cases = (folder / MANIFEST).exists()
-        command = f"{folder} --out RUNS" if cases else f"CASES --out {folder}"
-        raise InputError(
-            f"{folder} holds no run{', but cases' if cases else ''}; 'hybrid-id blind run {command}' makes one"
-        )
-    manifest = next(iter(by_method.values()))["cases"]
-    if any(about["cases"] != manifest for about in by_method.values()):
-        raise InputError(f"the runs in {folder} are of different cases; give each a folder of its own")
-    return by_method
 
 
 def _complete(folder: Path) -> dict[str, Any]:
@@ -388,33 +379,3 @@ def write_scores(runs: Path, content: dict[str, Any]) -> str:
         for name in (*(f"{name}.png" for name in figures), PAGE, BOARD, SCORES):
             (new / name).replace(runs / name)
     return text
-
-
-def _commands(manifest: dict[str, Any], by_method: dict[str, dict[str, Any]]) -> list[str]:
-    """Commands that make the same cases again, and run the methods on them, those with the same settings together."""
-    first = manifest.get("first", 1)
-    options = {
-        "--seed": manifest["seed"],
-        "--cases": manifest["asked"],
-        "--first": first if first > 1 else None,
-    }
-    options |= {f"--{name}": value for name, value in manifest["options"].items()}
-    commands = [_command("make", "--out", "cases", options)]
-    alike: dict[Any, list[str]] = {}
-    for method, run in by_method.items():
-        alike.setdefault((run["train_records"], run.get("command"), run["commit"]), []).append(method)
-    for (records, program, _), methods in alike.items():
-        words = [word for method in methods for word in ("--method", method)]
-        commands.append(
-            _command(
-                "run", "cases", "--out", "runs", *words, {"--train-records": records, "--command": program}
-            )
-        )
-    return commands
-
-
-def _command(*words: Any) -> str:
-    """A command line of `blind`; its last argument holds options, None where they are left out."""
-    *first, options = words
-    more = [str(word) for name, value in options.items() if value is not None for word in (name, value)]
-    return shlex.join(["hybrid-id", "blind", *first, *more])

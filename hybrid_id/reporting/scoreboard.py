@@ -46,25 +46,12 @@ ROWS = {
 }
 _PLAIN = ("shrink_error", "share_error", "seconds", "slowest", "processor")
 """Scores in points or seconds."""
-IN_GROUPS = (
-    "cases",
-    "joint",
-    "top_1",
-    "top_3",
-    "place",
-    "f1",
-    "whole",
-    "false_unknown",
-    "sure",
-    "closed",
-    "seconds",
-)
-"""Scores that are shown group by group."""
 SHORT = {
     "cases": "cases", "joint": "joint", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
     "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed",
     "seconds": "time [s]",
 }  # fmt: skip
+"""Scores that are shown group by group, and their heads."""
 
 
 def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) -> str:
@@ -120,7 +107,7 @@ def _verdict(met: bool, shown: bool) -> str:
 
 def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of one dimension."""
-    shown = [name for name in IN_GROUPS if any(name in figures for figures in groups.values())]
+    shown = [name for name in SHORT if any(name in figures for figures in groups.values())]
     rows = [[group, *(value(n, f.get(n), interval=False) for n in shown)] for group, f in groups.items()]
     return ["", *(SHORT[name] for name in shown)], rows
 
@@ -141,7 +128,7 @@ def markdown(content: Scores) -> str:
         + f"; made at commit {short(about['made_at'])}, hash of the answers {hashes}. "
         + "".join(f"`{method}` was run at commit {short(at)}. " for method, at in others.items())
         + "Shares with Wilson's 95 % interval and the number of cases behind them.",
-        "\n".join(f"    {line}" for line in about["commands"]),
+        f"    {about['command']}",
         markdown_table(*score_rows(content)),
         f"Targets, for `{first}`:",
         markdown_table(*target_rows(content["methods"][first]["targets"])),
@@ -255,9 +242,7 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
         "made": f"at commit {about['made_at']}, seed {about['seed']}",
         "hash of the answers": ", ".join(about["sha256"]),
     }
-    return how_made(
-        page, "blind score", "\n".join(about["commands"]), settings, words="what makes and scores it again"
-    )
+    return how_made(page, "blind score", about["command"], settings, words="what makes the cases again")
 
 
 def _lead(method: str, entry: Mapping[str, Any], about: Mapping[str, Any]) -> str:

@@ -31,6 +31,8 @@ class Effect:
         signed: keys of `values` that may be negative.
         substeps: steps a sample that a fit of it needs.
         replaces: whether it takes the place of a part of the drive: of size zero it is not gone.
+        formula: what the ground truth calls it, and who asks for this formula alone; the name of the class by default.
+        alias: a second name of the catalogue and its place that mean the same.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -44,9 +46,13 @@ class Effect:
     signed: ClassVar[tuple[str, ...]] = ()
     substeps: ClassVar[int] = 1
     replaces: ClassVar[bool] = False
+    formula: ClassVar[str]
+    alias: ClassVar[tuple[str, str] | None] = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        if "formula" not in cls.__dict__:
+            cls.formula = cls.__name__
         if "draw" in cls.__dict__ or "place" in cls.__dict__:
             if cls.name == UNKNOWN:
                 OUTSIDE.append(cls)
@@ -108,8 +114,8 @@ class Effect:
             (drive.link_laws if self.place in ("load", "link_friction") else drive.rotor_laws).append(law)
 
     def drive(self, machine: Machine) -> Drive:
-        """The joint that it acts on."""
-        return machine.drives[self.joint]
+        """The joint that it acts on, which may stand by itself."""
+        return machine.drives[self.joint if len(machine.drives) > 1 else 0]
 
 
 def stall(robot: Robot, joint: int) -> Any:

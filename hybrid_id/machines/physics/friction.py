@@ -173,7 +173,7 @@ class LoadDependent(Law):
 
 @dataclass
 class PositionDependent(Law):
-    """Dry friction over the joint's angle: ``A (1 + sin(n q + phi))``, or ``A exp(-(n (q - phi))^2)`` of a tight spot.
+    """Dry friction over the joint's angle: ``A (mean + sin(n q + phi))``, of a tight spot ``A exp(-(n (q - phi))^2)``.
 
     A [N m] at the body that it acts on; q is the link's angle on either side of the gear.
     """
@@ -183,12 +183,13 @@ class PositionDependent(Law):
     phase: float
     spot: bool = False
     on_link: bool = False
+    mean: float = 1.0
 
     def act(self, push: Push, x: Signals) -> None:
         if self.spot:
             push.dry(self.amplitude * np.exp(-((self.periods * (x.q_a - self.phase)) ** 2)))
         else:
-            push.dry(self.amplitude * (1 + np.sin(self.periods * x.q_a + self.phase)))
+            push.dry(self.amplitude * (self.mean + np.sin(self.periods * x.q_a + self.phase)))
 
 
 @dataclass

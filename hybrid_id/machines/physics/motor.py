@@ -161,3 +161,19 @@ class TorqueRipple(Law):
 
     def act(self, push: Push, x: Signals) -> None:
         push.torque = push.torque + self.share * x.effort * np.sin(self.periods * x.q_m + self.phase)
+
+
+@dataclass
+class Servo(Motor):
+    """``tau = gain (goal - q_a)``: a position servo whose encoder sits at the joint; gain 0 gives the command itself.
+
+    The command is a goal [rad], or a torque [N m]; gain [N m/rad].
+    """
+
+    P_1: Lanes = 0.0
+    P_2: Lanes = 0.0
+    gain: Lanes = 0.0
+
+    def act(self, push: Push, x: Signals) -> None:
+        follows = not (isinstance(self.gain, float) and self.gain == 0.0)
+        push.torque = x.effort = self.gain * (x.volts - x.q_a) if follows else x.volts + 0.0
