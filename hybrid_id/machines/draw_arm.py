@@ -14,7 +14,7 @@ import numpy as np
 from hybrid_id.machines.arm import Arm, draw_arm
 from hybrid_id.machines.case import Case, Graded, Part, level_of, short
 from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
-from hybrid_id.machines.effects.arm import ArmEffect, LinkMass, NamelessLaw
+from hybrid_id.machines.effects.arm import ArmEffect, LinkMass, Nameless
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.experiments import Campaign
 from hybrid_id.machines.joint import SAMPLE, JointTrials, Loads, Masses, Moved
@@ -152,7 +152,7 @@ def _moved(arm: Arm, effects: Sequence[Effect], drift: np.ndarray, campaign: Cam
         volts, measured = run(
             machine, campaign.program, campaign.encoders, sample_time=SAMPLE, rest=0.0, start=start, slope=1
         )
-    laws = [law for drive in machine.drives for law in drive.rotor_laws if isinstance(law, NamelessLaw)]
+    laws = [law for drive in machine.drives for law in drive.rotor_laws if isinstance(law, Nameless)]
     trace = laws[0].trace if laws else np.array([np.zeros_like(volts[:, 0]), np.ones_like(volts[:, 0])])
     if not np.abs(measured).max() < RUNAWAY:
         return None

@@ -17,21 +17,13 @@ from hybrid_id.systems.model_file import build_model
 from hybrid_id.systems.model_schema import ModelFile
 
 FORMULAS = [
-    ("one_link", "InputDelay"),
-    ("one_link", "CoggingTorque"),
-    ("one_link", "WindingLag"),
     ("one_link", "Warming"),
-    ("one_link", "MotorDrag"),
     ("one_link", "PreslidingLuGre"),
-    ("one_link", "Unbalance"),
-    ("one_link", "Hose"),
     ("two_link", "Bias"),
-    ("one_link", "SoftGear"),
     ("one_link", "FlatTeeth"),
-    ("one_link", "Threshold"),
     ("one_link_flexible", "LinkCoulomb"),
-    ("one_link_flexible", "CubicSpring"),
 ]
+"""One of each way in which an effect meets the stepping: laws are the same in both."""
 
 
 @pytest.fixture(autouse=True)

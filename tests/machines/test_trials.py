@@ -9,12 +9,15 @@ from hybrid_id.machines import arm as arms
 from hybrid_id.machines import draw, draw_arm, experiments
 from hybrid_id.machines.effects import OUTSIDE, Effect
 from hybrid_id.machines.effects.arm import ArmOutside, ArmSoftGear, ArmStribeck, GoalRateLimit
+from hybrid_id.machines.effects.base import Acting
 from hybrid_id.machines.effects.friction import PreslidingDahl, StribeckGaussian, UnevenBoth, WithheldCoulomb
 from hybrid_id.machines.effects.load import Bias
 from hybrid_id.machines.effects.outside import Wind
 from hybrid_id.machines.effects.transmission import SoftGear
 from hybrid_id.machines.joint import JointTrials, Loads
 from hybrid_id.machines.physics.bench import Encoders, Flaws
+from hybrid_id.machines.physics.friction import Uneven
+from hybrid_id.machines.physics.law import Push, Signals
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
 from hybrid_id.machines.trials import Simulator, Trials
 
@@ -60,13 +63,12 @@ def test_every_effect_without_a_name_can_be_fitted(kind: type[Effect]) -> None:
 
 
 def test_friction_of_any_size_takes_energy_and_wind_lets_the_joint_rest() -> None:
-    for kind in (UnevenBoth, Wind):
-        effect = kind.draw(RNG, ROBOT, 0).scaled(8.0)
-        law = effect.law(ROBOT)
-        if isinstance(effect, UnevenBoth):
-            assert abs(law.slope) < 2.0 * ROBOT.value(0, "F_v")
-        else:
-            assert law.c * law.wind**2 <= 0.9 * ROBOT.value(0, "F_c") * ROBOT.ratio[0] * (1 + 1e-9)
+    uneven = UnevenBoth.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT)
+    assert isinstance(uneven, Uneven) and abs(uneven.slope) < 2.0 * ROBOT.value(0, "F_v")
+    push, wind = Push(), Wind.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT)
+    assert isinstance(wind, Acting)
+    wind.act(push, Signals(1))
+    assert abs(push.torque) <= 0.9 * ROBOT.value(0, "F_c") * ROBOT.ratio[0] * (1 + 1e-9)
 
 
 def test_nominal_arms_have_a_mass_matrix() -> None:

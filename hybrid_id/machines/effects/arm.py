@@ -1,12 +1,9 @@
 """What may act at a joint of an arm beyond its description, dominant or small."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from hybrid_id.machines.effects.base import UNKNOWN, Effect
+from hybrid_id.machines.effects.base import UNKNOWN, Acting, Effect
 from hybrid_id.machines.physics.friction import LoadDependent, PositionDependent, Stribeck, Uneven
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law
 from hybrid_id.machines.physics.load import ConstantTorque, RestSpring
 from hybrid_id.machines.physics.motor import Delay
 from hybrid_id.machines.physics.transmission import LinearSpring
@@ -167,34 +164,21 @@ class ArmDelay(ArmEffect):
         self.drive(machine).amplifier.insert(0, Delay(self.values["delay"]))
 
 
-@dataclass
-class RateLimit(InputLaw):
-    """A goal that is followed with a largest rate [rad/s]; it begins where the first one is."""
-
-    rate: Lanes
-    _aim: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes):
-        self._aim = np.zeros(lanes)
-
-    def volts(self, volts, x):
-        most = self.rate * x.step
-        followed = self._aim + np.minimum(np.maximum(volts - self._aim, -most), most)
-        self._aim = np.where(x.time < x.step, volts, followed)
-        return self._aim
-
-
 class GoalRateLimit(ArmEffect):
-    """A servo that follows its goal with a largest rate."""
+    """A servo that follows its goal with a largest rate [rad/s]; it begins where the first one is."""
 
     name, place, sized, for_torque, replaces = "goal_rate_limit", "input", ("rate",), False, True
+    memory = ("aim",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
         return cls(joint, {"rate": rng.uniform(0.75, 1.45)})
 
-    def law(self, robot):
-        return RateLimit(self.values["rate"])
+    def volts(self, volts, x, m):
+        most = self.values["rate"] * x.step
+        followed = m._aim + np.minimum(np.maximum(volts - m._aim, -most), most)
+        m._aim = np.where(x.time < x.step, volts, followed)
+        return m._aim
 
 
 class ArmSoftGear(ArmEffect):
@@ -228,59 +212,44 @@ class LinkMass(ArmEffect):
         return cls(joint, {"mass": grown * rng.uniform(-0.022, 0.022)})
 
 
-class NamelessLaw(Law):
+class Nameless(Acting):
     """A torque and a factor on dry friction, of which is kept what they were in the mean of each sample.
 
     Attributes:
         trace: torque [N m] and factor, (2, T, B).
+        drives: of all joints.
     """
 
-    def start(self, lanes):
-        self.trace = None
+    trace = None
 
     def act(self, push, x):
         if self.trace is None:
             self.trace = np.zeros((2, *x.history.shape))
-        torque, factor = self.of(x)
+        torque, factor = self.effect.of(x, self)
         if x.time > 0:
             self.trace[:, int(x.time / x.sample_time)] += np.array([torque, factor]) * x.step / x.sample_time
         push.torque = push.torque + torque
         push.plus, push.minus = push.plus * factor, push.minus * factor
 
-    def of(self, x):
-        """Torque (B,) [N m] and factor (B,)."""
-        raise NotImplementedError
-
 
 class ArmOutside(ArmEffect):
-    """An effect that no table of names holds; ``phase`` (B,) of its values is that of a clock, anew in each record."""
+    """An effect that no table of names holds: a torque at a joint, or a factor on its dry friction."""
 
     name = UNKNOWN
 
+    def of(self, x, m):
+        """Torque (B,) [N m] and factor (B,)."""
+        raise NotImplementedError
+
     def install(self, machine, robot):
-        """Build it in last of all, since it may change what others add."""
-        law = self.law(robot)
-        if law is not None:
-            law.drives = machine.drives
-            self.drive(machine).rotor_laws.append(law)
-
-
-@dataclass
-class OverOther(NamelessLaw):
-    """Dry friction with a factor ``1 + share sin(waves q + phase)`` of another joint's angle q."""
-
-    share: float
-    waves: float
-    phase: float
-    other: int
-
-    def of(self, x):
-        angle = self.drives[self.other].x.q_a
-        return 0.0 * angle, 1.0 + self.share * np.sin(self.waves * angle + self.phase)
+        """Build it in last of all, since it changes what others add."""
+        law = Nameless(self, robot)
+        law.drives = machine.drives
+        self.drive(machine).rotor_laws.append(law)
 
 
 class FrictionOverOtherJoint(ArmOutside):
-    """Dry friction that waves over the angle of another joint."""
+    """Dry friction that waves over the angle q of another joint, ``1 + share sin(waves q + phase)``."""
 
     place, sized, formula = "motor_friction", ("share",), "friction_over_other_joint"
 
@@ -290,26 +259,13 @@ class FrictionOverOtherJoint(ArmOutside):
         shape = {"waves": rng.uniform(2.0, 4.4), "phase": rng.uniform(-np.pi, np.pi), "other": other}
         return cls(joint, {"share": rng.uniform(0.66, 0.95)} | shape)
 
-    def law(self, robot):
-        v = self.values
-        return OverOther(v["share"], v["waves"], v["phase"], int(v["other"]))
-
-
-@dataclass
-class OverTime(NamelessLaw):
-    """A torque that swings by a clock of its own: rate [Hz], phase (B,) at the start of each record."""
-
-    torque: float
-    rate: float
-    phase: np.ndarray
-
-    def of(self, x):
-        turn = 2 * np.pi * self.rate * x.time + self.phase
-        return self.torque * np.sin(turn + 1.7 * np.sin(0.37 * turn)), np.ones_like(turn)
+    def of(self, x, m):
+        v, angle = self.values, m.drives[int(self.values["other"])].x.q_a
+        return 0.0 * angle, 1.0 + v["share"] * np.sin(v["waves"] * angle + v["phase"])
 
 
 class TorqueOverTime(ArmOutside):
-    """A torque by a clock of its own, not that of the record."""
+    """A torque by a clock of its own [Hz], not that of the record."""
 
     place, sized, formula = "load", ("torque",), "torque_over_time"
 
@@ -319,30 +275,15 @@ class TorqueOverTime(ArmOutside):
             joint, {"torque": robot.moment[joint] * rng.uniform(0.22, 0.5), "rate": rng.uniform(0.35, 0.9)}
         )
 
-    def law(self, robot):
-        return OverTime(self.values["torque"], self.values["rate"], robot.phase)
-
-
-@dataclass
-class Detent(NamelessLaw):
-    """A torque to the side from which the joint has come, beyond ``reach`` [rad] last."""
-
-    torque: float
-    reach: float
-
-    def start(self, lanes):
-        super().start(lanes)
-        self.side = np.ones(lanes)
-
-    def of(self, x):
-        self.side = np.where(np.abs(x.q_a) > self.reach, np.sign(x.q_a), self.side)
-        return self.side * self.torque, np.ones_like(self.side)
+    def of(self, x, m):
+        turn = 2 * np.pi * self.values["rate"] * x.time + m.robot.phase
+        return self.values["torque"] * np.sin(turn + 1.7 * np.sin(0.37 * turn)), np.ones_like(turn)
 
 
 class Latch(ArmOutside):
-    """A detent that holds to the side from which the joint has come: a torque with a memory of the last end."""
+    """A detent that holds to the side from which the joint has come: a torque with a memory of the last end [rad]."""
 
-    place, sized, formula = "load", ("torque",), "latch"
+    place, sized, formula, memory = "load", ("torque",), "latch", ("side",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -350,34 +291,20 @@ class Latch(ArmOutside):
             joint, {"torque": robot.moment[joint] * rng.uniform(0.16, 0.4), "reach": rng.uniform(0.18, 0.4)}
         )
 
-    def law(self, robot):
-        return Detent(self.values["torque"], self.values["reach"])
-
-
-@dataclass
-class Falling(NamelessLaw):
-    """Dry friction with a factor ``1 + share exp(-way / travel)`` of the way since the record began [rad]."""
-
-    share: float
-    travel: float
-
-    def start(self, lanes):
-        super().start(lanes)
-        self.way = np.zeros(lanes)
-
-    def of(self, x):
-        self.way = self.way + np.abs(x.v_a) * x.step
-        return 0.0 * self.way, 1.0 + self.share * np.exp(-self.way / self.travel)
+    def of(self, x, m):
+        m._side = np.where(np.abs(x.q_a) > self.values["reach"], np.sign(x.q_a), m._side)
+        return np.where(m._side < 0, -1.0, 1.0) * self.values["torque"], np.ones_like(x.q_a)
 
 
 class RunningIn(ArmOutside):
-    """Dry friction that falls while the joint travels, anew in every record."""
+    """Dry friction that falls while the joint travels [rad], anew in every record: ``1 + share exp(-way / travel)``."""
 
-    place, sized, formula = "motor_friction", ("share",), "running_in"
+    place, sized, formula, memory = "motor_friction", ("share",), "running_in", ("way",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
         return cls(joint, {"share": rng.uniform(1.3, 3.2), "travel": rng.uniform(0.9, 2.6)})
 
-    def law(self, robot):
-        return Falling(self.values["share"], self.values["travel"])
+    def of(self, x, m):
+        m._way = m._way + np.abs(x.v_a) * x.step
+        return 0.0 * m._way, 1.0 + self.values["share"] * np.exp(-m._way / self.values["travel"])

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law
+from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
 from hybrid_id.machines.physics.machine import Drive, Machine
 from hybrid_id.machines.robots import Robot
 
@@ -33,6 +33,8 @@ class Effect:
         replaces: whether it takes the place of a part of the drive: of size zero it is not gone.
         formula: what the ground truth calls it, and who asks for this formula alone; the name of the class by default.
         alias: a second name of the catalogue and its place that mean the same.
+        memory: states (B,) of an effect that is a law itself, zero at rest.
+        needs_effort: as of a `Law`.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -48,6 +50,8 @@ class Effect:
     replaces: ClassVar[bool] = False
     formula: ClassVar[str]
     alias: ClassVar[tuple[str, str] | None] = None
+    memory: ClassVar[tuple[str, ...]] = ()
+    needs_effort: ClassVar[bool] = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -101,9 +105,18 @@ class Effect:
         """The robot with the effect, where it is a parameter that the nominal model lacks."""
         return robot
 
+    def act(self, push: Push, x: Signals, m: Any) -> None:
+        """What an effect that is a law itself adds at its place; `m` has its memory, each with `_`, and the `robot`."""
+
+    def volts(self, volts: np.ndarray, x: Signals, m: Any) -> np.ndarray:
+        """What an effect that is a law of the amplifier itself makes of a voltage (B,) [V]; `m` as above."""
+        return volts
+
     def law(self, robot: Robot) -> Law | InputLaw | None:
-        """The law that it adds at its place; None where it is a parameter, or replaces a part."""
-        return None
+        """The law that it adds at its place, itself if it acts; None where it is a parameter, or replaces a part."""
+        if type(self).volts is not Effect.volts:
+            return ActingInput(self, robot)
+        return Acting(self, robot) if type(self).act is not Effect.act else None
 
     def install(self, machine: Machine, robot: Robot) -> None:
         """Build the effect into a machine, in place."""
@@ -116,6 +129,35 @@ class Effect:
     def drive(self, machine: Machine) -> Drive:
         """The joint that it acts on, which may stand by itself."""
         return machine.drives[self.joint if len(machine.drives) > 1 else 0]
+
+
+class Acting(Law):
+    """An effect as a law, with its memory."""
+
+    def __init__(self, effect: Effect, robot: Robot) -> None:
+        self.effect, self.robot, self.needs_effort = effect, robot, effect.needs_effort
+
+    def start(self, lanes: int) -> None:
+        """Set the memory of B runs to rest."""
+        for name in self.effect.memory:
+            setattr(self, f"_{name}", np.zeros(lanes))
+
+    def act(self, push: Push, x: Signals) -> None:
+        """Add what the effect contributes."""
+        self.effect.act(push, x, self)
+
+
+class ActingInput(InputLaw):
+    """An effect as a law of the amplifier, with its memory."""
+
+    def __init__(self, effect: Effect, robot: Robot) -> None:
+        self.effect, self.robot, self.needs_effort = effect, robot, effect.needs_effort
+
+    start = Acting.start
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        """Voltage behind the effect (B,) [V]."""
+        return self.effect.volts(volts, x, self)
 
 
 def stall(robot: Robot, joint: int) -> Any:

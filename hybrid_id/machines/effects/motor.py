@@ -3,7 +3,7 @@
 import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, dry, stall
-from hybrid_id.machines.physics.motor import Cogging, Deadband, Delay, Saturation, SoftSaturation, SupplySag
+from hybrid_id.machines.physics.motor import Cogging, Deadband, Delay, Saturation, SoftSaturation
 from hybrid_id.machines.robots import log_uniform
 
 
@@ -86,19 +86,25 @@ class SoftLimit(HardLimit):
 
 
 class WeakSupply(Effect):
-    """A supply whose voltage sags under load."""
+    """A weak supply behind a PWM amplifier: ``u - sag d^2 T`` with the duty ``d = u / supply`` and the motor torque T.
+
+    The source carries ``d`` times the winding's current, and the winding sees ``d`` times what it is left with; ``sag``
+    [V/(N m)], ``supply`` [V]. Braking pumps it up.
+    """
 
     name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
+    needs_effort = True
 
     @classmethod
     def draw(cls, rng, robot, joint):
         sag = rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)
         return cls(joint, {"sag": sag, "supply": robot.supply})
 
-    def law(self, robot):
+    def volts(self, volts, x, m):
+        v = self.values
         # beyond it the voltage that is left swings from step to step
-        most = 0.9 / robot.value(self.joint, "P_m1")
-        return SupplySag(np.minimum(self.values["sag"], most), self.values["supply"])
+        most = 0.9 / m.robot.value(self.joint, "P_m1")
+        return volts - np.minimum(v["sag"], most) * (volts / v["supply"]) ** 2 * x.effort
 
 
 class WindingLag(Effect):

@@ -193,52 +193,6 @@ class PositionDependent(Law):
 
 
 @dataclass
-class WearingIn(Law):
-    """Dry friction that grows as ``F (1 - exp(-t / T))`` in each record: grease that stiffens, a gear that warms."""
-
-    F: Lanes
-    T: float
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.dry(self.F * (1 - np.exp(-np.maximum(x.time, 0.0) / self.T)))
-
-
-@dataclass
-class WarmingGear(Law):
-    """Viscous friction that falls while the gear works: ``F / (1 + E / E_0)``, E the work done on friction [J]."""
-
-    F: Lanes
-    E_0: Lanes
-    _work: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes: int) -> None:
-        self._work = np.zeros(lanes)
-
-    def act(self, push: Push, x: Signals) -> None:
-        slope = self.F / (1 + self._work / self.E_0)
-        self._work = self._work + x.step * slope * x.v_m**2
-        push.slope = push.slope + slope
-
-
-@dataclass
-class StickAfterRest(Law):
-    """Breakaway that grows with the time at rest: ``F (1 - exp(-t_rest / T))``, gone after ``slip`` [rad] of motion."""
-
-    F: Lanes
-    T: float
-    slip: Lanes
-    _rest: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes: int) -> None:
-        self._rest = np.zeros(lanes)
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.dry(self.F * (1 - np.exp(-self._rest / self.T)))
-        moved = np.abs(x.v_m) * x.step / self.slip
-        self._rest = np.where(np.abs(x.v_m) > 0, self._rest * np.exp(-moved), self._rest + x.step)
-
-
-@dataclass
 class Dahl(Law):
     """``F' = s (v - |v| F / F_c)`` (Dahl, 1968, exponent 1), stepped exactly for a held speed.
 

@@ -56,32 +56,6 @@ class SoftSaturation(InputLaw):
 
 
 @dataclass
-class SupplySag(InputLaw):
-    """A weak supply behind a PWM amplifier: ``u - sag d^2 T`` with the duty ``d = u / supply`` and the motor torque T.
-
-    The source carries ``d`` times the winding's current, and the winding sees ``d`` times what it is left with; ``sag``
-    [V/(N m)], ``supply`` [V]. Braking pumps it up.
-    """
-
-    sag: Lanes
-    supply: Lanes
-    needs_effort = True
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return volts - self.sag * (volts / self.supply) ** 2 * x.effort
-
-
-@dataclass
-class UnevenGain(InputLaw):
-    """An amplifier that gives ``1 + excess`` of the command in one direction only."""
-
-    excess: Lanes
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return np.where(volts > 0, (1 + self.excess) * volts, volts)
-
-
-@dataclass
 class Motor:
     """``tau = P_1 (u - P_2 v)``, with a warming resistance, a lagging current and a weakening field as options.
 
@@ -148,19 +122,6 @@ class Cogging(Law):
     def act(self, push: Push, x: Signals) -> None:
         for amplitude, periods, phase in zip(self.amplitudes, self.periods, self.phases, strict=True):
             push.torque = push.torque - amplitude * np.sin(periods * x.q_m + phase)
-
-
-@dataclass
-class TorqueRipple(Law):
-    """``tau = share tau_motor sin(n q_m + phi)``: commutation, a ripple that grows with the torque."""
-
-    share: Lanes
-    periods: float
-    phase: float
-    needs_effort = True
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.torque = push.torque + self.share * x.effort * np.sin(self.periods * x.q_m + self.phase)
 
 
 @dataclass
