@@ -108,12 +108,11 @@ def draw_drive(
         InputError: an effect that the system cannot have.
     """
     kinds = [k for kinds in (*CATALOGUE.values(), OUTSIDE) for k in kinds if set(k.systems) & set(SYSTEMS)]
-    inside = [k for k in kinds if k.name != UNKNOWN and system in (None, *k.systems)]
     if not messy and effect is None and family not in SOUND:  # as often as others, whatever machine it needs
-        pool = (
-            [k.formula for k in kinds if k.name == UNKNOWN] if family == UNKNOWN else {k.name for k in inside}
-        )
-        effect = str(rng.choice(sorted(pool)))
+        some = [
+            k for k in kinds if (k.name == UNKNOWN) == (family == UNKNOWN) and system in (None, *k.systems)
+        ]
+        effect = str(rng.choice(sorted({k.formula if k.name == UNKNOWN else k.name for k in some})))
     asked = [k for k in kinds if effect in (k.name, k.formula)]
     met = [s for s in SYSTEMS if system in (None, s) and (not effect or any(s in k.systems for k in asked))]
     if not met:

@@ -208,7 +208,7 @@ def test_another_program_takes_part(home: Path) -> None:
         "| first name right (single effects; a dominant one of a messy machine) | 100 % (21 to 100; 1) |"
         in told
     )
-        call("run", cases, "--out", runs, "--method", "external", fails="belong together")
+    call("run", cases, "--out", runs, "--method", "external", fails="belong together")
     told = ("--method", "external", "--command", command, "--train-records", 2)
     call("run", cases, "--out", home / "fewer", *told, fails="takes cases as they are")
     assert "2 of 3 cases broke" in call(

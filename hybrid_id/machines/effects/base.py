@@ -7,6 +7,7 @@ import numpy as np
 
 from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
 from hybrid_id.machines.physics.machine import Drive, Machine
+from hybrid_id.machines.physics.transmission import Spring
 from hybrid_id.machines.robots import Robot
 
 UNKNOWN = "unknown"
@@ -112,6 +113,10 @@ class Effect:
         """What an effect that is a law of the amplifier itself makes of a voltage (B,) [V]; `m` as above."""
         return volts
 
+    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float, m: Any) -> np.ndarray:
+        """Torque on the link (B,) [N m] of an effect that is a gear's spring itself; `m` as above."""
+        raise NotImplementedError
+
     def law(self, robot: Robot) -> Law | InputLaw | None:
         """The law that it adds at its place, itself if it acts; None where it is a parameter, or replaces a part."""
         if type(self).volts is not Effect.volts:
@@ -158,6 +163,19 @@ class ActingInput(InputLaw):
     def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
         """Voltage behind the effect (B,) [V]."""
         return self.effect.volts(volts, x, self)
+
+
+class ActingSpring(Spring):
+    """An effect as the spring of a gear, with its memory."""
+
+    def __init__(self, effect: Effect, robot: Robot) -> None:
+        self.effect, self.robot = effect, robot
+
+    start = Acting.start
+
+    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
+        """Torque on the link (B,) [N m]."""
+        return self.effect.torque(twist, rate, step, self)
 
 
 def stall(robot: Robot, joint: int) -> Any:

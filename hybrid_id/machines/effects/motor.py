@@ -3,7 +3,7 @@
 import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, dry, stall
-from hybrid_id.machines.physics.motor import Cogging, Deadband, Delay, Saturation, SoftSaturation
+from hybrid_id.machines.physics.motor import Cogging, Delay
 from hybrid_id.machines.robots import log_uniform
 
 
@@ -45,8 +45,9 @@ class Threshold(Effect):
         breakaway = dry(robot, joint) / robot.value(joint, "P_m1")
         return cls(joint, {"volts": breakaway * rng.uniform(0.4, 1.5)})
 
-    def law(self, robot):
-        return Deadband(self.values["volts"], self.shift)
+    def volts(self, volts, x, m):
+        size, threshold = np.abs(volts), self.values["volts"]
+        return np.where(size > threshold, np.sign(volts) * (size - self.shift * threshold), 0.0)
 
 
 class DeadZone(Threshold):
@@ -60,7 +61,6 @@ class HardLimit(Effect):
     """A supply below the largest commands, which cuts them."""
 
     name, place, sized, size_keys = "voltage_saturation", "input", ("excess",), {"volts": "volts"}
-    soft = False
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -74,15 +74,17 @@ class HardLimit(Effect):
     def size(self):
         return Effect(self.joint, {"volts": self.limit}).size()
 
-    def law(self, robot):
-        return SoftSaturation(self.limit) if self.soft else Saturation(self.limit)
+    def volts(self, volts, x, m):
+        return np.clip(volts, -self.limit, self.limit)
 
 
 class SoftLimit(HardLimit):
-    """The same, neared gradually."""
+    """The same, neared gradually: ``u / (1 + |u / limit|^8)^(1/8)``."""
 
     place, replaces = "input", True
-    soft = True
+
+    def volts(self, volts, x, m):
+        return volts / (1 + np.abs(volts / self.limit) ** 8.0) ** (1 / 8.0)
 
 
 class WeakSupply(Effect):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import UNKNOWN, Effect, dry, fast, link_inertia
-from hybrid_id.machines.physics.transmission import HystereticSpring
+from hybrid_id.machines.effects.base import UNKNOWN, ActingSpring, Effect, dry, fast, link_inertia
 from hybrid_id.machines.robots import log_uniform
 
 RESTING = 0.1
@@ -257,7 +256,7 @@ class HystereticGear(Outside):
     """A spring with losses that do not depend on speed, where the model's is linear."""
 
     place, sized, systems = "transmission", ("limit",), ("one_link_flexible",)
-    replaces = True
+    replaces, memory = True, ("sliding",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -265,6 +264,9 @@ class HystereticGear(Outside):
         return cls(joint, {"limit": limit, "share": rng.uniform(0.3, 0.8)})
 
     def install(self, machine, robot):
-        k = robot.values["k"]
-        spring = HystereticSpring(k, robot.values["d"], self.values["share"] * k, self.values["limit"])
-        self.drive(machine).spring = spring
+        self.drive(machine).spring = ActingSpring(self, robot)
+
+    def torque(self, twist, rate, step, m):
+        v, k = self.values, m.robot.values["k"]
+        m._sliding = np.clip(m._sliding + v["share"] * k * rate * step, -v["limit"], v["limit"])
+        return k * twist + m._sliding + m.robot.values["d"] * rate

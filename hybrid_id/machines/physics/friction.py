@@ -32,20 +32,6 @@ class Coulomb(Law):
 
 
 @dataclass
-class SmoothCoulomb(Law):
-    """``F_c tanh(v / w)``; it creeps where a set-valued law sticks; w [rad/s]."""
-
-    F_c: Lanes
-    width: Lanes
-    on_link: bool = False
-
-    def act(self, push: Push, x: Signals) -> None:
-        ratio = np.abs(self.speed(x)) / self.width
-        secant = np.where(ratio > 1e-6, np.tanh(ratio) / np.maximum(ratio, 1e-6), 1.0)
-        push.slope = push.slope + self.F_c / self.width * secant
-
-
-@dataclass
 class Stribeck(Law):
     """Dry friction ``drop s(|v| / v_s)`` above Coulomb's, by one of three shapes.
 

@@ -23,39 +23,6 @@ class Delay(InputLaw):
 
 
 @dataclass
-class Deadband(InputLaw):
-    """Nothing below the threshold [V]; above it the command less ``shift`` of the threshold (0: all of it)."""
-
-    threshold: Lanes
-    shift: float
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        size = np.abs(volts)
-        return np.where(size > self.threshold, np.sign(volts) * (size - self.shift * self.threshold), 0.0)
-
-
-@dataclass
-class Saturation(InputLaw):
-    """``|u| <= limit`` [V]."""
-
-    limit: Lanes
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return np.clip(volts, -self.limit, self.limit)
-
-
-@dataclass
-class SoftSaturation(InputLaw):
-    """``u / (1 + |u / limit|^n)^(1/n)``: an amplifier that nears its limit [V] gradually."""
-
-    limit: Lanes
-    sharpness: float = 8.0
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return volts / (1 + np.abs(volts / self.limit) ** self.sharpness) ** (1 / self.sharpness)
-
-
-@dataclass
 class Motor:
     """``tau = P_1 (u - P_2 v)``, with a warming resistance, a lagging current and a weakening field as options.
 
