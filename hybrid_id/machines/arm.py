@@ -11,7 +11,7 @@ from hybrid_id.machines.effects.arm import LinkMass
 from hybrid_id.machines.physics.friction import Coulomb, Viscous
 from hybrid_id.machines.physics.machine import Drive, Machine, OneLink
 from hybrid_id.machines.physics.motor import Servo
-from hybrid_id.machines.physics.mujoco import HARD, Link, MujocoMachine, document
+from hybrid_id.machines.physics.mujoco import HARD, STEP, Link, MujocoMachine, document
 from hybrid_id.machines.physics.transmission import Gear
 from hybrid_id.records.dataset import Channel
 
@@ -24,8 +24,6 @@ SERVOS = 0.6
 GEARED = 0.62
 """Share of a joint's damping that is its own where a controller commands torques."""
 GRAVITY = 9.81
-STEP = 5e-4
-"""MuJoCo's step [s]."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ class Arm:
             effect.install(machine, self)  # type: ignore[arg-type]
             if isinstance(effect, LinkMass):
                 masses[effect.joint] += effect.values["mass"]
-        return MujocoMachine(machine.drives, self.weighed(masses), gravity=GRAVITY, step=STEP)
+        return MujocoMachine(machine.drives, self.weighed(masses), gravity=GRAVITY)
 
     def described(self, rng: np.random.Generator, wrong: float) -> "Arm":
         """The arm as its description has it, values of its drives off by up to a share."""

@@ -15,7 +15,7 @@ import numpy as np
 from hybrid_id.machines.physics.law import Lanes
 from hybrid_id.machines.physics.machine import BRAKE, SETTLING, Drive, Machine, OneLink, joined
 
-STEP = 0.25e-3
+STEP = 0.5e-3
 """MuJoCo's time step [s]."""
 HARD = 'solreffriction="0.002 1" solimpfriction="0.9999 0.9999 0.001"'
 """Dry friction that gives way hardly."""
@@ -132,19 +132,16 @@ class MujocoMachine:
         drives: one a joint, as `Machine` takes them.
         links: as `document` takes them.
         gravity: [m/s^2], along -z.
-        step: MuJoCo's time step [s].
 
     Raises:
         Unsupported: gear errors, late sensors, or a law that reads the torque through a rigid gear.
     """
 
-    def __init__(
-        self, drives: list[Drive], links: Sequence[Link], *, gravity: float = 0.0, step: float = STEP
-    ) -> None:
+    def __init__(self, drives: list[Drive], links: Sequence[Link], *, gravity: float = 0.0) -> None:
         import mujoco
 
         self._mujoco: Any = mujoco
-        self.drives, self._step = drives, step
+        self.drives = drives
         for drive in drives:
             if drive.gear.errors or drive.sensor_delay is not None:
                 raise Unsupported("gear errors and late sensors")
@@ -160,7 +157,7 @@ class MujocoMachine:
             links,
             [f'armature="{drive.gear.ratio**2 * _one(drive.rotor):.9g}" {HARD}' for drive in drives],
             twisting=soft,
-            options=f'timestep="{step}" gravity="0 0 {-gravity}" integrator="Euler"',
+            options=f'timestep="{STEP}" gravity="0 0 {-gravity}" integrator="Euler"',
             more=f"<tendon>{tendons}</tendon>",
         )
         self.model: Any = self._mujoco.MjModel.from_xml_string(text)
@@ -173,7 +170,7 @@ class MujocoMachine:
 
         Without them the machines come to rest from angles zero, without voltage.
         """
-        self._steps, self._sample_time, self._sample = round(sample_time / self._step), sample_time, 0
+        self._steps, self._sample_time, self._sample = round(sample_time / STEP), sample_time, 0
         self._runs = [self._mujoco.MjData(self.model) for _ in range(lanes)]
         still = np.zeros((len(self.drives), lanes))
         for drive in self.drives:
@@ -183,11 +180,11 @@ class MujocoMachine:
             for b, run in enumerate(self._runs):
                 run.qpos[self._rotors] = angles[:, b]
             return
-        steps = round(SETTLING / self._step)
+        steps = round(SETTLING / STEP)
         for k in range(steps):
-            self._move((k - steps) * self._step, still)
+            self._move((k - steps) * STEP, still)
             for run in self._runs:
-                run.qvel *= 1 - BRAKE * self._step  # a hand holds back what would swing for long
+                run.qvel *= 1 - BRAKE * STEP  # a hand holds back what would swing for long
             if k % 200 == 19 and max(np.abs(run.qvel).max() for run in self._runs) < CALM:
                 break
         for run in self._runs:
@@ -199,7 +196,7 @@ class MujocoMachine:
             drive.x.command = command
             drive.x.history[self._sample] = command
         for i in range(self._steps):
-            self._move(self._sample * self._sample_time + i * self._step, disturbance)
+            self._move(self._sample * self._sample_time + i * STEP, disturbance)
         self._sample += 1
 
     def carry(self, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -238,7 +235,7 @@ class MujocoMachine:
         dry, dry_links = np.zeros_like(torque), np.zeros((max(len(self._tendons), 1), len(self._runs)))
         for i, drive in enumerate(self.drives):
             x, r, at = drive.x, drive.gear.ratio, self._rotors[i]
-            x.time, x.step = time + 0.5 * self._step, self._step
+            x.time, x.step = time + 0.5 * STEP, STEP
             x.q_m, x.v_m = r * rotors[i], r * turning[i]
             x.q_a, x.v_a = links[i], swinging[i]
             drive.act()
