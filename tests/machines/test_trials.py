@@ -7,7 +7,7 @@ import pytest
 
 from hybrid_id.machines import arm as arms
 from hybrid_id.machines import draw, draw_arm, experiments
-from hybrid_id.machines.effects import OUTSIDE, Effect
+from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.machines.effects.arm import ArmOutside, ArmSoftGear, ArmStribeck, GoalRateLimit
 from hybrid_id.machines.effects.base import Acting
 from hybrid_id.machines.effects.friction import PreslidingDahl, StribeckGaussian, UnevenBoth, WithheldCoulomb
@@ -129,15 +129,22 @@ def test_one_joint_by_itself_moves_as_in_mujoco(
         assert joint.gap(lacking, "train") > 4 * joint.gap(right, "train")
 
 
-def test_effects_outside_the_catalogue_act_at_their_joint_alone(short_arm: None) -> None:
+@pytest.mark.parametrize("servo", [True, False])
+def test_every_effect_of_an_arm_changes_its_motion(
+    servo: bool, short_arm: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(draw_arm, "LENGTH", 0.5)
+    monkeypatch.setattr(arms, "SERVOS", float(servo))
     rng = np.random.default_rng(27206)
     arm = replace(arms.draw_arm(rng), phase=np.zeros(2))
     campaign = draw_arm._campaign(rng, arm)
     still = draw_arm._moved(arm, [], np.ones((2, 2)), campaign)
-    for kind in (k for k in OUTSIDE if issubclass(k, ArmOutside)):
-        effect = kind.draw(rng, arm, 1)
-        moved = draw_arm._moved(arm, [effect], np.ones((2, 2)), campaign)
+    kinds = [k for kinds in (*CATALOGUE.values(), OUTSIDE) for k in kinds if k.fits(arm)]  # type: ignore[arg-type]
+    assert len(kinds) == (15 if servo else 12)
+    for kind in kinds:
+        moved = draw_arm._moved(arm, [kind.draw(rng, arm, 1)], np.ones((2, 2)), campaign)  # type: ignore[arg-type]
         assert still is not None and moved is not None
-        torque, factor = moved.trace
-        assert np.ptp(torque) > 0 or np.ptp(factor) > 0
-        assert np.abs(moved.angle[:, 1] - still.angle[:, 1]).max() > 1e-3
+        assert np.abs(moved.measured[:, 1] - still.measured[:, 1]).max() > 1e-4, kind
+        assert issubclass(kind, ArmOutside) == (np.ptp(moved.trace[0]) > 0 or np.ptp(moved.trace[1]) > 0), (
+            kind
+        )

@@ -151,7 +151,9 @@ class LoadDependent(Law):
 
     mu: Lanes
     by_effort: bool = False
-    needs_carried = needs_effort = True
+
+    def __post_init__(self) -> None:
+        self.needs_carried, self.needs_effort = not self.by_effort, self.by_effort
 
     def act(self, push: Push, x: Signals) -> None:
         push.dry(self.mu * np.abs(x.effort if self.by_effort else x.carried))
