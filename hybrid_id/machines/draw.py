@@ -348,7 +348,7 @@ def _levelled(
     """A clean machine, its effects each in a size that alone gives a level, and of two each needed."""
     band = np.array(BANDS["medium" if len(effects) > 1 and level == "weak" else level])
     goal = np.full(len(effects), np.sqrt(band.prod()) - 1)
-    lifted = _lifted(about.trials(effects), about.drift, range(len(effects)), goal, band - 1)
+    lifted = _lifted(about.trials(effects), about.drift, range(len(effects)), goal, list(band - 1))
     if len(lifted) < len(effects):
         return None
     sized = [one.scaled(lifted[i][0]) for i, one in enumerate(effects)]
@@ -410,7 +410,7 @@ def _mixed(
     """A machine with dominant and small effects."""
     leaders, effects = LEADERS[family], [*candidates, *small]
     trials = about.trials(effects)
-    wanted = np.exp(rng.uniform(*np.log(WANTED_LIFT), len(small)))
+    wanted = np.exp(rng.uniform(np.log(WANTED_LIFT[0]), np.log(WANTED_LIFT[1]), len(small)))
     lifted = _lifted(trials, about.drift, range(len(candidates), len(effects)), wanted, LIFT)
     kept = [(i, *one) for i, one in lifted.items()][: len(small) - SPARE]
     if len(kept) < FEWEST:

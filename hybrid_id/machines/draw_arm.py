@@ -153,7 +153,9 @@ def _moved(arm: Arm, effects: Sequence[Effect], drift: np.ndarray, campaign: Cam
             machine, campaign.program, campaign.encoders, sample_time=SAMPLE, rest=0.0, start=start, slope=1
         )
     laws = [law for drive in machine.drives for law in drive.rotor_laws if isinstance(law, Nameless)]
-    trace = laws[0].trace if laws else np.array([np.zeros_like(volts[:, 0]), np.ones_like(volts[:, 0])])
+    trace = np.array([np.zeros_like(volts[:, 0]), np.ones_like(volts[:, 0])])
+    for law in laws:
+        trace = trace if law.trace is None else law.trace
     if not np.abs(measured).max() < RUNAWAY:
         return None
     kept = slice(SETTLING, None)
@@ -200,9 +202,9 @@ def _graded(
             starts.append(
                 Simulator(0, (1.0, *nothing[1:]), joint.true, shapes, free, tuple(shapes) if free else ())
             )
-        first, full, *with_lead = joint.fit(starts, joint.measured, rounds=ROUNDS)
+        first, full, *having = joint.fit(starts, joint.measured, rounds=ROUNDS)
         base, floor, trials = [*base, first], [*floor, full], [*trials, joint]
-        leads |= dict.fromkeys([k] if with_lead else [], *with_lead)
+        leads |= dict.fromkeys([k] if having else [], *having)
 
     def gap(of: str) -> float:
         return sum(max(t.gap(b, of) - t.gap(f, of), 0.0) for t, b, f in zip(trials, base, floor, strict=True))
@@ -211,10 +213,11 @@ def _graded(
         closed = sum(trials[k].gap(base[k], of) - trials[k].gap(one, of) for k, one in leads.items())
         return round(float(closed / max(gap(of), 1e-300)), 4)
 
-    oracle = [
-        float(np.mean([one.test for one in fits]))
-        for fits in (nominal, base, [leads.get(k, one) for k, one in enumerate(base)], floor)
-    ]
+    def error(fits: Sequence[Simulator]) -> float:
+        return float(np.mean([one.test for one in fits]))
+
+    with_lead = [leads.get(k, one) for k, one in enumerate(base)]
+    oracle = error(nominal), error(base), error(with_lead), error(floor)
     drives = "servo" if arm.servo else "torque"
     more = {
         "messy": {"dominant_outside": lead is not None and lead.name == UNKNOWN},

@@ -211,10 +211,9 @@ class JointTrials(Trials):
         def lanes(rows_of: np.ndarray) -> np.ndarray:
             return np.tile(self._pieces(rows_of)[..., rows], len(simulators))
 
-        load = sum(
-            np.array([lanes(part) for part in one]) * share
-            for one, share in ((self.loads.nominal, 1.0), (self.loads.small, small), (self.loads.mass, mass))
-        )
+        load = np.zeros((3, self.window, len(simulators) * runs))
+        for one, share in ((self.loads.nominal, 1.0), (self.loads.small, small), (self.loads.mass, mass)):
+            load += np.array([lanes(part) for part in one]) * share
         torque, factor = (np.tile(self._windows(one)[..., rows], len(simulators)) for one in self.moved.trace)
         with np.errstate(all="ignore"):
             machine.begin_at(

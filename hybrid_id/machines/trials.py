@@ -6,7 +6,7 @@ integrator replays all of them; derivatives of a re-fit are differences, all per
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -253,19 +253,17 @@ class Trials:
         for one in simulators:
             around = STEP * np.eye(len(one.values) + len(one.free) + len(one.free_shapes))
 
+            def left(step: np.ndarray, one: Simulator = one) -> np.ndarray:
+                return self.residuals([self._moved(one, step)], measured)[0]
+
             def slopes(step: np.ndarray, one: Simulator = one, around: np.ndarray = around) -> np.ndarray:
                 moved = [self._moved(one, step), *(self._moved(one, step + change) for change in around)]
                 base, *others = self.residuals(moved, measured)
                 return (np.array(others) - base).T / STEP
 
+            start, jacobian = np.zeros(len(around)), cast(Any, slopes)  # SciPy's stubs know of names alone
             with np.errstate(all="ignore"):
-                end = least_squares(
-                    lambda step, one=one: self.residuals([self._moved(one, step)], measured)[0],
-                    np.zeros(len(around)),
-                    slopes,
-                    ftol=GAIN,
-                    max_nfev=rounds,
-                )
+                end = least_squares(left, start, jacobian, ftol=GAIN, max_nfev=rounds)
             fits.append(self._moved(one, end.x))
         return self.errors(fits, measured)
 

@@ -5,6 +5,7 @@ import numpy as np
 from hybrid_id.machines.effects.base import UNKNOWN, Acting, Effect
 from hybrid_id.machines.physics.friction import LoadDependent, PositionDependent, Stribeck, Uneven
 from hybrid_id.machines.physics.load import ConstantTorque, RestSpring
+from hybrid_id.machines.physics.machine import Drive
 from hybrid_id.machines.physics.motor import Delay
 from hybrid_id.machines.physics.transmission import LinearSpring
 
@@ -220,7 +221,8 @@ class Nameless(Acting):
         drives: of all joints.
     """
 
-    trace = None
+    trace: np.ndarray | None = None
+    drives: list[Drive]
 
     def act(self, push, x):
         if self.trace is None:

@@ -69,13 +69,13 @@ class Effect:
         self.values: dict[str, Any] = dict(values)
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, robot: Robot, joint: int) -> Self:
-        """An effect of plausible size for a robot."""
+    def draw(cls, rng: np.random.Generator, robot: Any, joint: int) -> Self:
+        """An effect of plausible size for a robot, or an arm."""
         raise NotImplementedError
 
     @classmethod
-    def fits(cls, robot: Robot) -> bool:
-        """Whether a robot can have it."""
+    def fits(cls, robot: Any) -> bool:
+        """Whether a robot, or an arm, can have it."""
         return robot.system in cls.systems
 
     @classmethod
@@ -117,13 +117,13 @@ class Effect:
         """Torque on the link (B,) [N m] of an effect that is a gear's spring itself; `m` as above."""
         raise NotImplementedError
 
-    def law(self, robot: Robot) -> Law | InputLaw | None:
+    def law(self, robot: Any) -> Law | InputLaw | None:
         """The law that it adds at its place, itself if it acts; None where it is a parameter, or replaces a part."""
         if type(self).volts is not Effect.volts:
             return ActingInput(self, robot)
         return Acting(self, robot) if type(self).act is not Effect.act else None
 
-    def install(self, machine: Machine, robot: Robot) -> None:
+    def install(self, machine: Machine, robot: Any) -> None:
         """Build the effect into a machine, in place."""
         law, drive = self.law(robot), self.drive(machine)
         if isinstance(law, InputLaw):
@@ -136,42 +136,37 @@ class Effect:
         return machine.drives[self.joint if len(machine.drives) > 1 else 0]
 
 
-class Acting(Law):
-    """An effect as a law, with its memory."""
+class _WithMemory:
+    """An effect that is a law itself, the robot that it acts on, and its memory."""
 
-    def __init__(self, effect: Effect, robot: Robot) -> None:
-        self.effect, self.robot, self.needs_effort = effect, robot, effect.needs_effort
+    def __init__(self, effect: Effect, robot: Any) -> None:
+        self.effect: Any = effect
+        self.robot, self.needs_effort = robot, effect.needs_effort
 
     def start(self, lanes: int) -> None:
         """Set the memory of B runs to rest."""
         for name in self.effect.memory:
             setattr(self, f"_{name}", np.zeros(lanes))
 
+
+class Acting(_WithMemory, Law):
+    """An effect as a law."""
+
     def act(self, push: Push, x: Signals) -> None:
         """Add what the effect contributes."""
         self.effect.act(push, x, self)
 
 
-class ActingInput(InputLaw):
-    """An effect as a law of the amplifier, with its memory."""
-
-    def __init__(self, effect: Effect, robot: Robot) -> None:
-        self.effect, self.robot, self.needs_effort = effect, robot, effect.needs_effort
-
-    start = Acting.start
+class ActingInput(_WithMemory, InputLaw):
+    """An effect as a law of the amplifier."""
 
     def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
         """Voltage behind the effect (B,) [V]."""
         return self.effect.volts(volts, x, self)
 
 
-class ActingSpring(Spring):
-    """An effect as the spring of a gear, with its memory."""
-
-    def __init__(self, effect: Effect, robot: Robot) -> None:
-        self.effect, self.robot = effect, robot
-
-    start = Acting.start
+class ActingSpring(_WithMemory, Spring):
+    """An effect as the spring of a gear."""
 
     def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
         """Torque on the link (B,) [N m]."""
