@@ -366,11 +366,11 @@ def runs() -> Files:
 
 def read_runs(folder: Path) -> None:
     from hybrid_id.baselines.keep import load, read_run
-    from hybrid_id.cli.blind_runs import judge_run, tied_cases
+    from hybrid_id.cli.blind_runs import judge_run
     from hybrid_id.machines.seal import read_manifest
 
     for read in (lambda: read_manifest(folder), lambda: read_run(folder), lambda: load(folder, "c001"),
-                 lambda: tied_cases(folder), lambda: judge_run(folder, folder / "answers.tar")):  # fmt: skip
+                 lambda: judge_run(folder, folder / "answers.tar")):  # fmt: skip
         try:
             read()
         except InputError as error:

@@ -1,11 +1,9 @@
 """A short version of `make soak`: what is killed and run again ends as if nobody had touched it."""
 
-import numpy as np
 import pytest
 import soak
 
 from hybrid_id.machines import experiments as plans
-from hybrid_id.machines import grading
 
 ELSEWHERE = "diagnose", "ablate"  # which tests/diagnosis/test_keep.py and tests/cli/test_ablate.py stop
 SHORT = [name for name in soak.JOBS if name not in ELSEWHERE]
@@ -19,7 +17,6 @@ def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.Monke
     monkeypatch.setattr(soak, "LONG", 1)
     monkeypatch.setattr(soak, "SAMPLES", 150)
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))
     kills = 0
     for seed in (
         0,

@@ -35,7 +35,6 @@ def run(start: int, step: int, keep: Path) -> None:
             command("blind", "make", "--out", part / "cases", "--answers", ROOT / f"p{k:02d}.tar", *options)
         methods = [word for method in METHODS for word in ("--method", method)]
         command("blind", "run", part / "cases", "--out", part / "run", *methods, fine=(0, BROKEN))
-        command("blind", "ties", part / "cases", part / "run", "--answers", ROOT / f"p{k:02d}.tar")
         half = archive.with_suffix(".part")
         with tarfile.open(half, "w:xz") as file:
             for path in (part / "run", part / "cases" / "manifest.json", ROOT / f"p{k:02d}.tar"):

@@ -11,7 +11,7 @@ from hybrid_id.cli.blind_runs import make_sealed
 from hybrid_id.records.dataset import Dataset
 
 SEED = 16
-DRAWN = {"system": "one_link", "engine": "mujoco", "effect": "cogging", "level": "strong", "grading": False}
+DRAWN = {"system": "one_link", "engine": "mujoco", "effect": "cogging", "level": "strong"}
 
 folder = Path(sys.argv[1])
 folder.mkdir(parents=True)

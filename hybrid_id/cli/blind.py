@@ -1,7 +1,5 @@
 """`blind`: cases whose unmodelled effect is withheld, the methods that diagnose them, and the benchmark report."""
 
-import sys
-from contextlib import nullcontext, redirect_stdout
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -45,95 +43,6 @@ class Method(StrEnum):
     external = "external"
 
 
-CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1, max=100_000)]
-FirstOption = Annotated[
-    int,
-    typer.Option(
-        help="Number of the first case: a large set may be made and run in parts.", min=1, max=1_000_000
-    ),
-]
-SeedOption = Annotated[
-    str,
-    typer.Option(help="Seed of case 1, the others count up; 'commit' takes it from the hash of this commit."),
-]
-SystemOption = Annotated[
-    str | None, typer.Option(help="one_link, one_link_flexible or two_link.", show_default="drawn")
-]
-FamilyOption = Annotated[
-    str | None, typer.Option(help="single, pair, none, parameters or unknown.", show_default="drawn")
-]
-EffectOption = Annotated[
-    str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
-]
-LevelOption = Annotated[str | None, typer.Option(help="strong, medium or weak.", show_default="drawn")]
-RealismOption = Annotated[
-    str,
-    typer.Option(
-        help="clean: one thing lacks, or two. messy: a dominant one among small ones, drifting friction and "
-        "imperfect encoders; with --family none or parameters nothing but those. arms: as messy, arms of two to seven "
-        "joints in MuJoCo."
-    ),
-]
-EngineOption = Annotated[
-    str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
-]
-CasesArgument = Annotated[
-    Path, typer.Argument(metavar="CASES", help="Folder that 'blind make' has made.", show_default=False)
-]
-MethodsOption = Annotated[
-    list[Method] | None,
-    typer.Option(
-        "--method",
-        help="diagnose, or a baseline: bic, stribeck; or external. May be repeated.",
-        show_default="diagnose",
-    ),
-]
-RecordsOption = Annotated[
-    int | None,
-    typer.Option(
-        "--train-records",
-        help="So many train records of each case at most.",
-        min=1,
-        max=100_000,
-        show_default="all",
-    ),
-]
-CommandOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Program of an external baseline, with {case} for its folder and {answer} for the JSON file to write.",
-        show_default=False,
-    ),
-]
-PartsArgument = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="RUNS...",
-        help="Folder that 'blind run' has filled, or those of all parts.",
-        show_default=False,
-    ),
-]
-ArchivesOption = Annotated[
-    list[Path],
-    typer.Option(
-        "--answers",
-        help="Archive of the answers (ground truth), as it was sealed; one a part.",
-        show_default=False,
-    ),
-]
-PublishOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--publish",
-        metavar="FOLDER",
-        help="Folder of published benchmark reports: gets this one as a file, and a line in its README.md.",
-        show_default=False,
-    ),
-]
-AppendOption = Annotated[Path | None, typer.Option("--append", hidden=True)]
-"""Former name of ``--publish``, which took a page and added the report at its end."""
-
-
 @blind.command()
 def make(
     out: Annotated[
@@ -150,15 +59,40 @@ def make(
     open_answers: Annotated[
         bool, typer.Option("--open-answers", help="Leave the answers in answers/, for development.")
     ] = False,
-    cases: CountOption = 24,
-    first: FirstOption = 1,
-    seed: SeedOption = "0",
-    system: SystemOption = None,
-    family: FamilyOption = None,
-    effect: EffectOption = None,
-    level: LevelOption = None,
-    engine: EngineOption = None,
-    realism: RealismOption = "clean",
+    cases: Annotated[int, typer.Option("--cases", help="Number of cases.", min=1, max=100_000)] = 24,
+    first: Annotated[
+        int,
+        typer.Option(
+            help="Number of the first case: a large set may be made and run in parts.", min=1, max=1_000_000
+        ),
+    ] = 1,
+    seed: Annotated[
+        str,
+        typer.Option(
+            help="Seed of case 1, the others count up; 'commit' takes it from the hash of this commit."
+        ),
+    ] = "0",
+    system: Annotated[
+        str | None, typer.Option(help="one_link, one_link_flexible or two_link.", show_default="drawn")
+    ] = None,
+    family: Annotated[
+        str | None, typer.Option(help="single, pair, none, parameters or unknown.", show_default="drawn")
+    ] = None,
+    effect: Annotated[
+        str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
+    ] = None,
+    level: Annotated[str | None, typer.Option(help="strong, medium or weak.", show_default="drawn")] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
+    ] = None,
+    realism: Annotated[
+        str,
+        typer.Option(
+            help="clean: one thing lacks, or two. messy: a dominant one among small ones, drifting friction and "
+            "imperfect encoders; with --family none or parameters nothing but those. "
+            "arms: as messy, arms of two to seven joints in MuJoCo."
+        ),
+    ] = "clean",
     jobs: ProcessesOption = 1,
 ) -> None:
     """Make records of machines in which something is at work that their model lacks.
@@ -169,63 +103,46 @@ def make(
     """
     if open_answers and answers is not None:
         raise InputError("--answers and --open-answers contradict each other; give one of them")
-    options = work.generator_options(system, family, effect, level, engine, realism)
+    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    if realism != "clean":
+        options["realism"] = realism
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
     work.make_sealed(out, archive, cases, work.seed_of(seed), options, jobs, first)
 
 
 @blind.command()
-def reproduce(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help=f"Folder for all of it. {ABOVE}", show_default=False)
-    ],
-    cases: CountOption = 24,
-    first: FirstOption = 1,
-    seed: SeedOption = "0",
-    system: SystemOption = None,
-    family: FamilyOption = None,
-    effect: EffectOption = None,
-    level: LevelOption = None,
-    engine: EngineOption = None,
-    realism: RealismOption = "clean",
-    method: MethodsOption = None,
-    train_records: RecordsOption = None,
-    command: CommandOption = None,
-    publish: PublishOption = None,
-    append: AppendOption = None,
-    jobs: ProcessesOption = 1,
-    backend: BackendOption = Backend.joblib,
-    scheduler: SchedulerOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Make, run and score in one command: a published benchmark report again from its seed.
-
-    The same command goes on after Ctrl-C.
-    """
-    check_backend(backend, scheduler)
-    folder, methods = work.published_in(publish, append), method or [Method.diagnose]
-    made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
-    options = work.generator_options(system, family, effect, level, engine, realism)
-    with redirect_stdout(sys.stderr) if as_json else nullcontext():
-        work.make_sealed(made, archive, cases, work.seed_of(seed), options, jobs, first, once=True)
-        runs.parent.mkdir(parents=True, exist_ok=True)
-        broken = work.run_methods(made, runs, methods, train_records, jobs, scheduler, command)
-        if Method.diagnose in methods:
-            work.run_ties(made, runs, archive, jobs, scheduler)
-    _scored([runs], [archive], folder, as_json=as_json, where=f"results are in {runs}")
-    if broken:
-        raise typer.Exit(BROKEN)
-
-
-@blind.command()
 def run(
-    cases: CasesArgument,
+    cases: Annotated[
+        Path, typer.Argument(metavar="CASES", help="Folder that 'blind make' has made.", show_default=False)
+    ],
     out: Annotated[
         Path, typer.Option("--out", "-o", help=f"Folder for the diagnoses. {ABOVE}", show_default=False)
     ],
-    method: MethodsOption = None,
-    train_records: RecordsOption = None,
-    command: CommandOption = None,
+    method: Annotated[
+        list[Method] | None,
+        typer.Option(
+            "--method",
+            help="diagnose, or a baseline: bic, stribeck; or external. May be repeated.",
+            show_default="diagnose",
+        ),
+    ] = None,
+    train_records: Annotated[
+        int | None,
+        typer.Option(
+            "--train-records",
+            help="So many train records of each case at most.",
+            min=1,
+            max=100_000,
+            show_default="all",
+        ),
+    ] = None,
+    command: Annotated[
+        str | None,
+        typer.Option(
+            help="Program of an external baseline, with {case} for its folder and {answer} for the JSON file to write.",
+            show_default=False,
+        ),
+    ] = None,
     jobs: ProcessesOption = 1,
     backend: BackendOption = Backend.joblib,
     scheduler: SchedulerOption = None,
@@ -245,11 +162,23 @@ def run(
 
 @blind.command()
 def score(
-    runs: PartsArgument,
-    answers: ArchivesOption,
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUNS...",
+            help="Folder that 'blind run' has filled, or those of all parts.",
+            show_default=False,
+        ),
+    ],
+    answers: Annotated[
+        list[Path],
+        typer.Option(
+            "--answers",
+            help="Archive of the answers (ground truth), as it was sealed; one a part.",
+            show_default=False,
+        ),
+    ],
     partial: Annotated[bool, typer.Option("--partial", help="Score an unfinished run.")] = False,
-    publish: PublishOption = None,
-    append: AppendOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score diagnoses; refuses answers that are not those that were sealed before the run.
@@ -257,48 +186,11 @@ def score(
     All methods in the folder are scored side by side. Cases that were made and run in parts are scored together.
     Writes scores.json, scoreboard.md, report.html and pictures into the (first) folder.
     """
-    folder = work.published_in(publish, append)
-    files = f"{work.SCORES}, {work.BOARD}, {work.PAGE}, pictures"
-    where = f"results are in {runs[0]}: {files}"
-    _scored(runs, answers, folder, as_json=as_json, where=where, partial=partial)
-
-
-def _scored(
-    runs: list[Path], answers: list[Path], folder: Path | None, *, as_json: bool, where: str, partial: bool = False
-) -> None:  # fmt: skip
-    """Score, write and print."""
-    content = work.gathered(runs, answers, [m.value for m in Method], partial=partial)
-    text = work.write_scores(runs[0], content, folder)
-    if as_json:
-        return show(text)
     from hybrid_id.reporting.scoreboard import markdown
 
+    content = work.gathered(runs, answers, [m.value for m in Method], partial=partial)
+    text = work.write_scores(runs[0], content)
+    if as_json:
+        return show(text)
     show(markdown(content))
-    show(where)
-
-
-@blind.command()
-def ties(
-    cases: CasesArgument,
-    runs: Annotated[
-        Path, typer.Argument(metavar="RUNS", help="Folder that 'blind run' has filled.", show_default=False)
-    ],
-    answers: Annotated[
-        Path,
-        typer.Option(
-            "--answers", help="Archive of the answers (ground truth), as it was sealed.", show_default=False
-        ),
-    ],
-    jobs: ProcessesOption = 1,
-    backend: BackendOption = Backend.joblib,
-    scheduler: SchedulerOption = None,
-) -> None:
-    """Run the experiment that 'diagnose' proposes in each case with a tie, and see whether it resolves the tie.
-
-    The machine is the same one as in the case, made again from its answers. Writes ties.json, which 'blind score' shows
-    in its report.
-    """
-    from hybrid_id.reporting.scoreboard import ties_line
-
-    check_backend(backend, scheduler)
-    show(ties_line(work.run_ties(cases, runs, answers, jobs, scheduler)))
+    show(f"results are in {runs[0]}: {work.SCORES}, {work.BOARD}, {work.PAGE}, pictures")

@@ -1,24 +1,20 @@
-"""One case: a machine with something at work in it, its records, and the nominal model."""
+"""One case: a machine with something at work in it, its experiments, and the nominal model; how difficult it is."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from hybrid_id.errors import InputError
+from hybrid_id.machines.arm import Arm
 from hybrid_id.machines.effects import Effect
-from hybrid_id.machines.experiments import SAMPLE_TIME, Campaign, noise_std
-from hybrid_id.machines.physics.bench import Encoders, Plant, Program, replay, run
-from hybrid_id.machines.physics.mujoco import MujocoMachine, Unsupported
+from hybrid_id.machines.effects.base import UNKNOWN
+from hybrid_id.machines.experiments import Campaign, noise_std
+from hybrid_id.machines.rivals import Rival
 from hybrid_id.machines.robots import Robot
+from hybrid_id.machines.trials import Measured, Simulator
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
-
-NOISE = (0.002, 0.03)
-"""Encoders' noise relative to the motion in the test records."""
-SUBSTEPS = 4
-"""Steps a sample of the in-house engine: 0.5 ms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,200 +24,152 @@ class Case:
     Attributes:
         name: of its folder.
         robot: the machine without effects.
-        effects: none, one or two.
         campaign: planned records.
         model: the nominal model, as the content of a model file.
+        files: further files beside it, by name.
         engine: in_house or mujoco.
     """
 
     name: str
-    robot: Robot
-    effects: tuple[Effect, ...]
+    robot: Robot | Arm
     campaign: Campaign
-    model: Mapping[str, Any]
+    model: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
     engine: str = "in_house"
 
-    def with_effects(self, effects: Sequence[Effect]) -> "Case":
-        """The same case with other effects."""
-        return replace(self, effects=tuple(effects))
+    def dataset(self, measured: Measured) -> Dataset:
+        """The records as they are written."""
+        campaign, time = self.campaign, self.campaign.sample_time
+        inputs, outputs, records = self.robot.inputs, self.robot.outputs, []
+        for b, length in enumerate(campaign.lengths):
+            volts, angles = measured.volts[:length, :, b], np.round(measured.angles[:length, :, b], 7)
+            records.append(
+                Record(
+                    name=f"rec_{b:02d}",
+                    time=np.round(time * np.arange(length), 6),
+                    inputs={one.name: np.round(volts[:, i], 7) for i, one in enumerate(inputs)},
+                    outputs={name: angles[:, i] for i, name in enumerate(outputs)},
+                    role="train" if campaign.roles[b] == "train" else "test",
+                    note=campaign.notes[b],
+                )
+            )
+        noise = noise_std(campaign.encoders)
+        channels = (Channel(n, "rad", float(f"{std:.3g}")) for n, std in zip(outputs, noise, strict=True))
+        return Dataset(self.name, tuple(inputs), tuple(channels), tuple(records), time)
 
-    def truth(self) -> Robot:
-        """The robot with what its effects are as parameters, and what the nominal model lacks of them."""
-        robot = self.robot
-        for effect in self.effects:
-            robot = effect.alter(robot)
-        return robot
+    def nominal(self) -> Simulator:
+        """Today's simulator of a single drive, without any effect."""
+        given = {name: float(entry["nominal"]) for name, entry in self.model["parameters"].items()}
+        return Simulator(0, (), {**dict.fromkeys(self.robot.values, 0.0), **given})
 
-    def plant(self) -> Plant:
-        """The machine with its effects."""
-        return build(self.robot, self.effects, self.engine)
+
+@dataclass(frozen=True)
+class Part:
+    """One effect of a case.
+
+    Attributes:
+        effect: in its final size.
+        rivals: other effects in its place, the best first; none of a small one.
+        shares: what the answers say of it beyond that: its ``role`` (dominant or small), the share of the gap that it
+            ``closes`` alone and in its place of the order (``share``), both on the test and on the train records, and
+            the ``lift`` of the re-fit's error over the floor by a small one alone.
+    """
+
+    effect: Effect
+    rivals: Sequence[Rival] = ()
+    shares: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
-class Records:
-    """What came out of a case's experiments.
+class Graded:
+    """A case of known difficulty.
 
     Attributes:
-        dataset: as it was measured.
-        volts: (T, n_joints, B) of all records, zero beyond the end of each.
-        measured: (T, n_outputs, B) [rad], likewise.
-        noise_floor: normalised RMSE on the test records of the true machine, replayed without noise and random torques.
+        case: the case.
+        measured: its records.
+        nominal, refit, with_effect, floor: normalised RMSE on the test records of the nominal model as it stands,
+            re-fitted, and with what it lacks, and of the machine itself.
+        level: strong, medium, weak or none.
+        parts: its effects, in the order in which they are added.
+        notes: what else the answers tell in passing.
+        more: further keys of the answers.
     """
 
-    dataset: Dataset
-    volts: np.ndarray
-    measured: np.ndarray
-    noise_floor: float
+    case: Case
+    measured: Measured
+    nominal: float
+    refit: float
+    with_effect: float
+    floor: float
+    level: str
+    parts: Sequence[Part] = ()
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    more: Mapping[str, Any] = field(default_factory=dict)
 
 
-def build(
-    robot: Robot, effects: Sequence[Effect], engine: str = "in_house", *, substeps: int = SUBSTEPS
-) -> Plant:
-    """A robot with effects in one of the engines.
-
-    Raises:
-        Unsupported: MuJoCo has no counterpart of one of its laws.
-    """
-    for effect in effects:
-        robot = effect.alter(robot)
-    machine = robot.assemble(substeps=substeps)
-    for effect in effects:
-        effect.install(machine, robot)
-    return MujocoMachine(machine) if engine == "mujoco" else machine
+def level_of(ratio: float) -> str:
+    """Level of a ratio of re-fit to noise floor, as the format of cases defines it."""
+    return "strong" if ratio >= 3 else "medium" if ratio >= 1.5 else "weak" if ratio >= 1.15 else "none"
 
 
-def runs_in_mujoco(robot: Robot, effects: Sequence[Effect]) -> bool:
-    """Whether MuJoCo is installed and has a counterpart of every law."""
-    try:
-        build(robot, effects, "mujoco")
-    except (ImportError, Unsupported):
-        return False
-    return True
+def short(value: Any) -> float:
+    """A number as answers hold it."""
+    return float(f"{float(value):.4g}")
 
 
-def record(case: Case) -> Records:
-    """Make all experiments of a case, and replay them without noise."""
-    return record_sizes(case, np.ones(1))[0]
-
-
-def record_sizes(case: Case, factors: np.ndarray) -> list[Records]:
-    """Records of a case with its effects scaled by each of the factors (K,), all runs side by side."""
-    count, runs = len(factors), len(case.campaign.lengths)
-    if count > 1:
-        grown = [effect.scaled(np.repeat(factors, runs)) for effect in case.effects]
-        case = replace(case.with_effects(grown), campaign=case.campaign.repeated(count))
-    campaign = case.campaign
-    volts, measured = run(case.plant(), campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
-    clean = replay(case.plant(), volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
-    lanes = np.arange(count * runs).reshape(count, runs)
-    return [logged(case, volts[..., own], measured[..., own], clean[..., own]) for own in lanes]
-
-
-def tuned(case: Case, share: float, *, substeps: int = SUBSTEPS) -> Case:
-    """The case with encoders that suit its motion, and random torques that move the outputs by a share of their noise.
-
-    Encoders are made coarser or finer by powers of two until their noise is within `NOISE` of the test records' motion.
-    The share holds for four records of five, of the output that feels the torques most, on the machine without effects.
-    """
-    campaign = case.campaign
-    sound = build(case.robot, (), substeps=substeps)
-    volts, measured = run(sound, campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
-    clean = replay(sound, volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
-    errors, spread, noise = [], [], noise_std(campaign.encoders)
-    for b, length in enumerate(campaign.lengths):
-        own = measured[:length, :, b]
-        errors.append(np.mean((clean[:length, :, b] - own) ** 2, axis=0))
-        if campaign.roles[b] == "test":
-            spread.append(np.std(own, axis=0))
-    floor = np.mean(noise / np.array(spread), axis=0)
-    finer = 2.0 ** np.round(np.log2(np.clip(floor, *NOISE) / floor))
-    encoders = replace(
-        campaign.encoders,
-        quantum=finer * campaign.encoders.quantum,
-        jitter=finer[:, None] * campaign.encoders.jitter,
-    )
-    felt = np.sqrt(np.maximum(np.array(errors) - noise**2, 1e-4 * noise**2)) / (finer * noise)
-    factor = share / float(np.quantile(felt, 0.8, axis=0).max())
-    program = replace(campaign.program, disturbance=factor * campaign.program.disturbance)
-    return replace(case, campaign=replace(campaign, program=program, encoders=encoders))
-
-
-def logged(case: Case, volts: np.ndarray, measured: np.ndarray, clean: np.ndarray) -> Records:
-    """What was logged in the records of one size of the effects, (T, channels, records) each."""
-    campaign = case.campaign
-    outputs = [f"q_m{i + 1}" for i in range(case.robot.joints)] + ["q_a1"] * campaign.encoders.link
-    inputs = [f"u{i + 1}" for i in range(case.robot.joints)]
-    records, errors = [], []
-    for b, length in enumerate(campaign.lengths[: volts.shape[-1]]):
-        angles = np.round(measured[:length, :, b], 7)
-        records.append(
-            Record(
-                name=f"rec_{b:02d}",
-                time=np.round(SAMPLE_TIME * np.arange(length), 6),
-                inputs={name: volts[:length, i, b] for i, name in enumerate(inputs)},
-                outputs={name: angles[:, i] for i, name in enumerate(outputs)},
-                role="train" if campaign.roles[b] == "train" else "test",
-                note=campaign.notes[b],
-            )
-        )
-        if campaign.roles[b] == "test":
-            errors.append(nrmse(clean[:length, :, b], angles))
-    noise = noise_std(campaign.encoders)
-    dataset = Dataset(
-        name=case.name,
-        inputs=tuple(Channel(name, "V") for name in inputs),
-        outputs=tuple(
-            Channel(name, "rad", float(f"{std:.3g}")) for name, std in zip(outputs, noise, strict=True)
-        ),
-        records=tuple(records),
-        sample_time=SAMPLE_TIME,
-    )
-    return Records(dataset, volts, measured, float(np.mean(errors)))
-
-
-def nrmse(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """RMS error over the standard deviation of the measured signal, (n_outputs,) of (T, n_outputs)."""
-    return np.sqrt(np.mean((simulated - measured) ** 2, axis=0)) / np.std(measured, axis=0)
-
-
-NAME = "further"
-
-
-def further_record(
-    case: Case, joint: int, command: Sequence[float], sample_time: float, *, seed: int, name: str = NAME
-) -> Record:
-    """Measure the machine of a case under an open-loop voltage.
-
-    Noise is new, of the case's size; the small random torques are those of its first record.
+def ground_truth(graded: Graded, family: str, seed: int, draw: int) -> dict[str, Any]:
+    """The ground truth of a case.
 
     Args:
-        case: by `draw.same_case`.
-        joint: whose motor gets the voltage, from 1; the others get none.
-        command: voltage (T,) [V]; the supply limits it.
-        sample_time: [s]; has to be that of the case.
-        seed: of the noise.
-        name: of the record.
+        graded: the case with its effects.
+        family: single, pair, none, parameters or unknown.
+        seed: that it was made from.
+        draw: which of the machines that were drawn.
     """
-    if abs(sample_time - SAMPLE_TIME) > 1e-9:
-        raise InputError(f"a further record of {case.name} needs the sample time {SAMPLE_TIME} s of its case")
-    campaign, joints, samples = case.campaign, case.robot.joints, len(command)
-    rng = np.random.default_rng([seed, 2])
-    feed = np.zeros((samples, joints, 1))
-    feed[:, joint - 1, 0] = command
-    still, limit = np.zeros((joints, 1)), np.full((joints, 1), case.robot.supply)
-    pushed = campaign.program.disturbance[:, :, 0]
-    torque = np.stack([np.resize(pushed[:, i], samples) for i in range(joints)], axis=1)[..., None]
-    std = campaign.encoders.jitter.std(axis=(0, 2))
-    jitter = rng.standard_normal((samples, len(std), 1)) * std[:, None]
-    encoders = Encoders(campaign.encoders.quantum, jitter, campaign.encoders.link)
-    program = Program(feed, np.zeros_like(feed), still, still, still, limit, torque)
-    volts, measured = run(case.plant(), program, encoders, sample_time=SAMPLE_TIME)
-    outputs = [f"q_m{i + 1}" for i in range(joints)] + ["q_a1"] * encoders.link
-    return Record(
-        name=name,
-        time=np.round(SAMPLE_TIME * np.arange(samples), 6),
-        inputs={f"u{i + 1}": volts[:, i, 0] for i in range(joints)},
-        outputs={name: np.round(measured[:, i, 0], 7) for i, name in enumerate(outputs)},
-        role="train",
-        note="further experiment",
-    )
+    case = graded.case
+    rest = [
+        {f"{one.effect.name}@{one.effect.joint + 1}": round(one.rest, 3) for one in part.rivals[:6]}
+        for part in graded.parts
+        if part.rivals
+    ]
+    oracle = {
+        "nominal": graded.nominal,
+        "refit": graded.refit,
+        "with_effect": graded.with_effect,
+        "noise_floor": graded.floor,
+    }
+    return {
+        "family": family,
+        "effects": [_answer(part, case.robot) for part in graded.parts],
+        "level": graded.level,
+        "oracle": {name: short(value) for name, value in oracle.items()},
+        "made_by": {
+            "engine": case.engine,
+            "system": case.robot.system,
+            "seed": seed,
+            "draw": draw,
+            "formulas": [part.effect.formula for part in graded.parts],
+        },
+        **graded.more,
+        "notes": {**graded.notes, **({"rest_of_gap_with_rival": rest} if rest else {})},
+    }
+
+
+def _answer(part: Part, robot: Robot | Arm) -> dict[str, Any]:
+    """One effect of the ground truth, with all that counts as right."""
+    effect, places = part.effect, robot.places(part.effect)
+    right = [effect, *(rival.effect for rival in part.rivals if rival.counts)]
+    pairs = [(one.name, place) for one in right for place in robot.places(one)]
+    if effect.alias is not None:
+        name, place = effect.alias
+        pairs.append((name, f"{places[0].partition('/')[0]}/{place}"))
+    known = [(name, place) for name, place in pairs if name != UNKNOWN]
+    return {
+        "name": effect.name,
+        "where": places[-1] if effect.name == "link_mass" else places[0],
+        "accept": list(dict.fromkeys(name for name, _ in known)),
+        "accept_where": list(dict.fromkeys(place for _, place in pairs)),
+        "right": list(dict.fromkeys(f"{name}@{place}" for name, place in known)),
+        "size": effect.size(),
+        **part.shares,
+    }

@@ -145,6 +145,7 @@ class Campaign:
         lengths: samples of each record (B,).
         notes: signal of each record.
         roles: train or test of each record.
+        sample_time: [s].
     """
 
     program: Program
@@ -152,6 +153,7 @@ class Campaign:
     lengths: np.ndarray
     notes: tuple[str, ...]
     roles: tuple[str, ...]
+    sample_time: float = SAMPLE_TIME
 
     def repeated(self, times: int) -> "Campaign":
         """The same records several times over, side by side."""
@@ -162,10 +164,9 @@ class Campaign:
         p, e = self.program, self.encoders
         program = Program(*(tile(v) for v in (p.feed, p.reference, p.kp, p.kd, p.ki, p.limit, p.disturbance)))
         flaws = e.flaws and replace(e.flaws, lost=tile(e.flaws.lost))
-        encoders = Encoders(e.quantum, tile(e.jitter), e.link, flaws)
-        return Campaign(
-            program, encoders, np.tile(self.lengths, times), self.notes * times, self.roles * times
-        )
+        encoders = replace(e, jitter=tile(e.jitter), flaws=flaws)
+        lengths, notes, roles = np.tile(self.lengths, times), self.notes * times, self.roles * times
+        return replace(self, program=program, encoders=encoders, lengths=lengths, notes=notes, roles=roles)
 
 
 def draw_campaign(

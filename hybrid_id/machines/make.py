@@ -3,6 +3,7 @@
 import difflib
 import warnings
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -10,33 +11,28 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError, MachineError
-from hybrid_id.machines import messy
-from hybrid_id.machines.arms import case as arms
-from hybrid_id.machines.arms.effects import KINDS as OF_ARMS
-from hybrid_id.machines.arms.effects import OUTSIDE as OUTSIDE_OF_ARMS
-from hybrid_id.machines.arms.motion import mujoco
-from hybrid_id.machines.draw import FAMILIES, LEAST, SEEN, draw_case, family_and_level
+from hybrid_id.machines.case import Graded, ground_truth
+from hybrid_id.machines.draw import BANDS, LEVELS, draw_drive
+from hybrid_id.machines.draw_arm import draw_arm_case
 from hybrid_id.machines.effects import CATALOGUE, OUTSIDE
-from hybrid_id.machines.grading import BANDS
-from hybrid_id.machines.ground_truth import ground_truth, messy_ground_truth
 from hybrid_id.machines.judge import SOUND
-from hybrid_id.machines.rivals import find_rivals, with_only
 from hybrid_id.machines.robots import SYSTEMS
-from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import hidden_beside
 from hybrid_id.records.yaml_file import write_yaml
 
-NEEDED = 1.2
-"""Re-fit with one effect of a pair alone over the error of both, at least, on the test records; on the train records,
-where those who diagnose have to see it, `SEEN`."""
 CLEAN, MESSY, ARMS = "clean", "messy", "arms"
 """Kinds of cases: one thing lacks, or a dominant one among small ones, or that in an arm of two to seven joints."""
-MESSY_DRAWS = 22
-"""Messy machines, and arms, that are tried for a case before it is given up."""
-DESCRIPTION = "arm.xml"
-"""File of an arm's description."""
-DRAWS = 8
+FAMILIES = {
+    CLEAN: {"single": 0.58, "pair": 0.14, "none": 0.04, "parameters": 0.10, "unknown": 0.14},
+    MESSY: {"single": 0.58, "pair": 0.21, "unknown": 0.21},
+    ARMS: {"single": 0.775, "unknown": 0.125, "parameters": 0.10},
+}
+"""Families of each kind of cases and how often each is drawn: one effect, two, a simulator that is right, one with
+wrong values and nothing missing, and something at work that is outside the catalogue."""
+DRAWS = {CLEAN: 12, MESSY: 26, ARMS: 22}
 """Machines that are tried for a case before it is given up."""
+NUMBERS = {CLEAN: 1, MESSY: 4, ARMS: 6}
+"""Of the random numbers that a kind of cases is drawn from, beside the seed."""
 
 
 def make_case(
@@ -50,7 +46,6 @@ def make_case(
     level: str | None = None,
     engine: str | None = None,
     realism: str = CLEAN,
-    grading: bool = True,
 ) -> Path:
     """Make one case; what is not given is drawn.
 
@@ -60,13 +55,12 @@ def make_case(
         name: of the case; `c` and the seed by default.
         family: single, pair, none, parameters or unknown.
         system: one_link, one_link_flexible or two_link.
-        effect: name of the effect, or the first one of a pair; of the class for effects outside the catalogue.
+        effect: name of the effect, or the first one of a pair; of the formula for effects outside the catalogue.
         level: strong, medium or weak.
         engine: in_house or mujoco.
         realism: clean, where nothing is at work beyond the family; or messy, where that is dominant among small ones,
             drift and imperfect encoders, and level and engine are not to be chosen; or arms, of two to seven joints in
             MuJoCo, as messy as that, where the system is not to be chosen either.
-        grading: whether to look for other effects that explain the records as well; slower.
 
     Returns:
         The case's folder.
@@ -74,62 +68,46 @@ def make_case(
     Raises:
         InputError: a name is not known, or no machine could be drawn that the effect shows on.
     """
-    _check(realism, family=family, system=system, effect=effect, level=level, engine=engine)
-    name, asked = name or f"c{seed:03d}", level
-    if realism == ARMS:
-        return _make_arm(seed, Path(folder), name, family, effect)
-    if realism == MESSY:
-        return _make_messy(seed, Path(folder), name, family, system, effect)
-    family, level = family_and_level(seed, family, effect, level)
-    for draw in range(DRAWS):
-        rng = np.random.default_rng([seed, 1, draw])
-        graded = draw_case(rng, name, family, system, effect, level, engine)
-        if graded is None:
+    given = {"family": family, "system": system, "effect": effect, "level": level, "engine": engine}
+    _check(realism, given)
+    family, wanted = family_and_level(seed, realism, family, effect, level)
+    name = name or f"c{seed:03d}"
+    for draw in range(DRAWS[realism]):
+        rng = np.random.default_rng([seed, NUMBERS[realism], draw])
+        try:
+            if realism == ARMS:
+                graded = draw_arm_case(rng, name, family, effect=effect)
+            else:
+                graded = draw_drive(
+                    rng,
+                    name,
+                    family,
+                    messy=realism == MESSY,
+                    system=system,
+                    effect=effect,
+                    level=wanted,
+                    engine=engine,
+                )
+        except np.linalg.LinAlgError:  # a record of numbers that are none
             continue
-        case, records, rivals, alone = graded.case, graded.records, [], None
-        if grading and len(case.effects) > 1:
-            alone = with_only(case, records)
-            if alone is None or not all(a.test >= NEEDED and a.train >= SEEN for a in alone.values()):
-                continue
-        if grading:
-            rivals = [find_rivals(case, records, seed, number) for number in range(len(case.effects))]
-        # what a named effect explains but for less than is called an effect at all is not outside the catalogue
-        if family == "unknown" and not all(rival.ratio >= LEAST for of_one in rivals for rival in of_one):
-            continue
-        truth = ground_truth(graded, family, (seed, draw), rivals=rivals, alone=alone)
-        if asked in (None, truth["level"]):
-            return _write(truth, graded.records.dataset, graded.case.model, Path(folder))
+        if graded is not None and level in (None, graded.level):
+            return _write(graded, ground_truth(graded, family, seed, draw), Path(folder))
     raise InputError(
-        f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
+        f"case {name}: no machine of {DRAWS[realism]} shows {effect or family} as it is wanted; give another seed"
+        + (" or level" if realism == CLEAN else "")
     )
 
 
-def _make_messy(
-    seed: int, folder: Path, name: str, family: str | None, system: str | None, effect: str | None
-) -> Path:
-    """Make one messy machine."""
-    family = messy.family_of(seed, family, effect)
-    for draw in range(MESSY_DRAWS):
-        made = messy.same_machine(seed, draw, name=name, family=family, system=system, effect=effect)
-        if made is not None:
-            truth = messy_ground_truth(made, family, (seed, draw))
-            return _write(truth, made.graded.records.dataset, made.graded.case.model, folder)
-    raise InputError(
-        f"case {name}: no machine of {MESSY_DRAWS} has {effect or family} dominant; give another seed"
-    )
-
-
-def _make_arm(seed: int, folder: Path, name: str, family: str | None, effect: str | None) -> Path:
-    """Make one arm."""
-    family = arms.family_of(seed, family, effect)
-    for draw in range(MESSY_DRAWS):
-        made = arms.draw_arm_case(seed, draw, name, family, effect)
-        if made is not None:
-            model = {"robot": {"file": DESCRIPTION}}
-            return _write(made.truth, made.dataset, model, folder, {DESCRIPTION: made.description})
-    raise InputError(
-        f"case {name}: no arm of {MESSY_DRAWS} has {effect or family} dominant; give another seed"
-    )
+def family_and_level(
+    seed: int, realism: str, family: str | None, effect: str | None, level: str | None
+) -> tuple[str, str]:
+    """Family and level, drawn where they are not given."""
+    rng = np.random.default_rng([seed, 0])
+    if family is None and effect:
+        family = "unknown" if effect in {kind.formula for kind in OUTSIDE} else "single"
+    chances = FAMILIES[realism]
+    family = family or str(rng.choice(list(chances), p=list(chances.values())))
+    return family, level or str(rng.choice(list(LEVELS), p=list(LEVELS.values())))
 
 
 def make_cases(
@@ -154,7 +132,7 @@ def make_cases(
         **options: see `make_case`.
     """
     known = ("family", "system", "effect", "level", "engine")
-    _check(options.get("realism", CLEAN), **{option: options.get(option) for option in known})
+    _check(options.get("realism", CLEAN), {option: options.get(option) for option in known})
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []
@@ -181,48 +159,47 @@ def _attempt(seed: int, folder: str | Path, name: str, options: Mapping[str, Any
         return None
 
 
-def _write(
-    truth: Mapping[str, Any],
-    dataset: Dataset,
-    model: Mapping[str, Any],
-    folder: Path,
-    beside: Mapping[str, str] | None = None,
-) -> Path:
-    """Write a case, named like its dataset, and its answers; the folder appears only when it is complete."""
-    path = folder / dataset.name
+def _write(graded: Graded, truth: Mapping[str, Any], folder: Path) -> Path:
+    """Write a case and its answers; the folder appears only when it is complete."""
+    path = folder / graded.case.name
     if path.exists():
         raise InputError(f"{path} exists already; remove it or give another folder")
     folder.mkdir(parents=True, exist_ok=True)
     with hidden_beside(path) as temporary:
-        made = dataset.save(temporary / path.name)
-        write_yaml(made / "model.yaml", model)
-        for file, text in (beside or {}).items():
+        made = graded.case.dataset(graded.measured).save(temporary / path.name)
+        write_yaml(made / "model.yaml", graded.case.model)
+        for file, text in graded.case.files.items():
             (made / file).write_text(text, encoding="utf-8")
         write_yaml(folder / "answers" / f"{path.name}.yaml", truth)
         made.replace(path)
     return path
 
 
-def _check(realism: str = CLEAN, **given: str | None) -> None:
+def _check(realism: str, given: Mapping[str, str | None]) -> None:
     """Refuse a kind of cases or a name that is not known, and what a kind of cases leaves no choice of."""
-    if realism not in (CLEAN, MESSY, ARMS):
+    if realism not in FAMILIES:
         raise InputError(f"blind make: realism '{realism}' is not known; use {CLEAN}, {MESSY} or {ARMS}")
     if realism == ARMS:
         if given["system"] or given["level"] or given["engine"]:
             raise InputError(
                 "blind make: arms are of two to seven joints, in MuJoCo; leave --system, --level and --engine out"
             )
-        mujoco()
+        if find_spec("mujoco") is None:
+            raise InputError(
+                "blind make: arms move in MuJoCo, which is not installed; "
+                "install it with pip install 'hybrid_id[robots]'"
+            )
     if realism == MESSY and (given["level"] or given["engine"] == "mujoco"):
         raise InputError(
             "blind make: messy machines have neither level nor MuJoCo; leave --level and --engine out"
         )
-    unnamed = list(OUTSIDE_OF_ARMS) if realism == ARMS else [kind.__name__ for kind in OUTSIDE]
-    formulas = [] if realism == ARMS else [kind.__name__ for kinds in CATALOGUE.values() for kind in kinds]
+    systems = {"robot"} if realism == ARMS else set(SYSTEMS)
+    inside = [kind for kinds in CATALOGUE.values() for kind in kinds if systems & set(kind.systems)]
+    unnamed = sorted(kind.formula for kind in OUTSIDE if systems & set(kind.systems))
     known = {
-        "family": list(arms.FAMILIES if realism == ARMS else FAMILIES),
+        "family": list(FAMILIES[ARMS if realism == ARMS else CLEAN]),
         "system": list(SYSTEMS),
-        "effect": [*sorted(OF_ARMS if realism == ARMS else CATALOGUE), *sorted((*formulas, *unnamed))],
+        "effect": [*sorted({k.name for k in inside}), *sorted(k.formula for k in inside), *unnamed],
         "level": list(BANDS),
         "engine": ["in_house", "mujoco"],
     }
@@ -231,20 +208,12 @@ def _check(realism: str = CLEAN, **given: str | None) -> None:
             close = difflib.get_close_matches(value, known[option], n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(known[option])}"
             raise InputError(f"blind make: {option} '{value}' is not known; {hint}")
-    outside = given["effect"] in unnamed
-    if (
-        given["effect"]
-        and given["family"] not in (None, *SOUND)
-        and outside != (given["family"] == "unknown")
-    ):
-        where = (
-            "outside the catalogue; leave family out"
-            if outside
-            else "in the catalogue; give family single or pair"
-        )
-        raise InputError(f"blind make: effect '{given['effect']}' is {where}")
-    for option in ("effect", "level") if given["family"] in SOUND else ():
+    effect, family, outside = given["effect"], given["family"], given["effect"] in unnamed
+    if effect and family not in (None, *SOUND) and outside != (family == "unknown"):
+        where = "outside the catalogue; leave family out"
+        if not outside:
+            where = "in the catalogue; give family single or pair"
+        raise InputError(f"blind make: effect '{effect}' is {where}")
+    for option in ("effect", "level") if family in SOUND else ():
         if given[option] is not None:
-            raise InputError(
-                f"blind make: family '{given['family']}' has nothing at work; leave {option} out"
-            )
+            raise InputError(f"blind make: family '{family}' has nothing at work; leave {option} out")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,10 @@ from hybrid_id.machines.physics.load import Gravity
 from hybrid_id.machines.physics.machine import Drive, Machine, OneLink, TwoLinks
 from hybrid_id.machines.physics.motor import Motor
 from hybrid_id.machines.physics.transmission import Gear, LinearSpring
+from hybrid_id.records.dataset import Channel
+
+if TYPE_CHECKING:
+    from hybrid_id.machines.effects import Effect
 
 SYSTEMS = ("one_link", "one_link_flexible", "two_link")
 UNITS = {
@@ -78,6 +82,37 @@ class Robot:
             return self.values["J_m"] + self.values["J_a"] / self.ratio[0] ** 2
         own = self.values["P_1"] + 2 * self.values["P_3"] if joint == 0 else self.values["P_2"]
         return own / self.ratio[joint] ** 2
+
+    @property
+    def free(self) -> list[str]:
+        """Parameters that records can tell: all but one torque constant (scale) and the motors' viscous frictions."""
+        held = {self.name(0, "P_m1"), *(self.name(i, "F_v") for i in range(self.joints)), *self.lacks}
+        return [
+            name for name, value in self.values.items() if name not in held and np.all(np.asarray(value) > 0)
+        ]
+
+    @property
+    def inputs(self) -> list[Channel]:
+        """Channels of the commands."""
+        return [Channel(f"u{i + 1}", "V") for i in range(self.joints)]
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the encoders' channels."""
+        return [f"q_m{i + 1}" for i in range(self.joints)] + ["q_a1"] * self.link_encoder
+
+    def drifted(self, factor: np.ndarray) -> "Robot":
+        """The robot whose motors' friction is off by a factor (n_joints, B)."""
+        names = [(i, self.name(i, symbol)) for i in range(self.joints) for symbol in ("F_c", "F_v")]
+        return self.with_values({name: self.values[name] * factor[i] for i, name in names})
+
+    def places(self, effect: "Effect") -> list[str]:
+        """Places of an effect that physics alone cannot tell apart."""
+        if self.system == "two_link" and effect.name in ("gravity_load", "joint_coupling"):
+            return ["joint1/load", "joint2/load"]
+        if effect.place == "motor_friction" and self.system != "one_link_flexible":
+            return [effect.where, effect.where.replace("motor_friction", "link_friction")]
+        return [effect.where]
 
     def with_values(self, values: Mapping[str, Lanes], *, withheld: bool = False) -> "Robot":
         """The same robot with some parameters replaced, which the nominal model may lack."""

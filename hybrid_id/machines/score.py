@@ -19,24 +19,14 @@ TRIVIAL, SURE = 0.02, 0.95
 Score = dict[str, Any]
 """``value``, ``low``, ``high``, the number ``n`` of cases behind it, and the ``wrong`` ones by name."""
 
-SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
-    "top_1": lambda one: one.top_1,
-    "top_3": lambda one: one.top_3,
-    "leads_train": lambda one: one.leads_train,
-    "place": lambda one: one.place,
-    "top_1_at_place": lambda one: one.top_1_at_place,
-    "joint": lambda one: one.joint,
-    "tied": lambda one: one.tied,
-    "whole": lambda one: one.whole,
-    "false_alarms": lambda one: one.false_alarm,
-    "values": lambda one: one.values,
-    "outside_detected": lambda one: one.outside,
-    "outside_at": lambda one: one.outside_at,
-    "false_unknown": lambda one: one.false_unknown,
-    "covered": lambda one: one.covered,
-    "share_covered": lambda one: one.share_covered,
-    "broken": lambda one: bool(one.broken),
+SHARES = {"false_alarms": "false_alarm", "outside_detected": "outside"} | {
+    name: name
+    for name in (
+        *("top_1", "top_3", "leads_train", "place", "top_1_at_place", "joint", "tied", "whole", "values"),
+        *("outside_at", "false_unknown", "covered", "share_covered", "broken"),
+    )
 }
+"""Shares of answers of a `Judged`, by score."""
 BAD = ("false_alarms", "false_unknown", "broken")
 """Shares where fewer is better."""
 GROUPS: Mapping[str, Callable[[Judged], str]] = {
@@ -74,12 +64,12 @@ def scores(judged: Sequence[Judged]) -> dict[str, Any]:
 def figures(judged: Sequence[Judged]) -> dict[str, Score]:
     """Scores of a group of cases; those without a case to speak of are left out."""
     found: dict[str, Score] = {"cases": {"value": len(judged), "n": len(judged)}}
-    for name, ask in SHARES.items():
-        known = [(one.case, ask(one)) for one in judged]
-        known = [(case, answer) for case, answer in known if answer is not None]
+    for name, question in SHARES.items():
+        known = [(one.case, getattr(one, question)) for one in judged]
+        known = [(case, bool(answer)) for case, answer in known if answer is not None]
         if known:
             wrong = [case for case, answer in known if answer == (name in BAD)]
-            found[name] = share([bool(answer) for _, answer in known]) | {"wrong": wrong}
+            found[name] = share([answer for _, answer in known]) | {"wrong": wrong}
     f1 = [(one.case, one.f1) for one in judged if one.f1 is not None]
     if f1:
         found["f1"] = mean([value for _, value in f1]) | {"wrong": [case for case, value in f1 if value < 1]}
@@ -182,22 +172,6 @@ def confusion(judged: Sequence[Judged]) -> dict[str, Any]:
 
 def _row(one: Judged) -> str:
     return one.family if one.family in ("none", "unknown") else one.effect
-
-
-def of_ties(rows: Mapping[str, Mapping[str, Any]], target: float) -> dict[str, Any]:
-    """Share of the ties that further records resolve, and of the cases in which they show just what was at work.
-
-    Whether the first one meets its target is in ``met``, whether all of its interval does in ``shown``.
-
-    Args:
-        rows: for each case its ``ties``, each with whether it is ``resolved``, and whether all is ``right``.
-        target: share of ties that is to be resolved.
-    """
-    ties = [tie["resolved"] for row in rows.values() for tie in row["ties"]]
-    found = share(ties) if ties else None
-    shares = {"resolved": found, "right": share([row["right"] for row in rows.values()]) if rows else None}
-    met, shown = (found and bool(found[key] >= target) for key in ("value", "low"))
-    return {"cases": dict(rows)} | shares | {"target": target, "met": met, "shown": shown}
 
 
 @dataclass(frozen=True)

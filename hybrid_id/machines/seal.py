@@ -112,13 +112,6 @@ def read_manifest(cases: Path) -> dict[str, Any]:
     return manifest
 
 
-def refuse_others(cases: Path, **about: Any) -> None:
-    """Raise InputError where the cases of a folder were made otherwise than ``about`` says."""
-    manifest = {"first": 1} | read_manifest(cases)
-    if any(manifest.get(key) != value for key, value in about.items()):
-        raise InputError(f"{cases} holds cases of another seed, number or kind; give another --out")
-
-
 def refuse_reachable(cases: Path, runs: Path, manifest: Mapping[str, Any]) -> None:
     """Raise InputError where answers lie in the folder of the cases or of the runs, or beside either.
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from rich.table import Table
 
-from hybrid_id.errors import InputError
-from hybrid_id.records.files import write_whole
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import short
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, save
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels
 from hybrid_id.reporting.tables import markdown_table, table
 
 Scores = Mapping[str, Any]
@@ -48,31 +43,14 @@ ROWS = {
     "processor": "processor time per case, median [s]",
     "broken": "broken cases",
 }
-INDEX = "README.md"
-"""List of the reports in the folder where they are published."""
-INDEX_HEADS = ("date", "commit", "seed", "cases scored", "methods", "exactly right (first method)")
-"""Heads of that list."""
 _PLAIN = ("shrink_error", "share_error", "seconds", "slowest", "processor")
 """Scores in points or seconds."""
-IN_GROUPS = (
-    "cases",
-    "joint",
-    "top_1",
-    "top_3",
-    "place",
-    "f1",
-    "whole",
-    "false_unknown",
-    "sure",
-    "closed",
-    "seconds",
-)
-"""Scores that are shown group by group."""
 SHORT = {
     "cases": "cases", "joint": "joint", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
     "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed",
     "seconds": "time [s]",
 }  # fmt: skip
+"""Scores that are shown group by group, and their heads."""
 
 
 def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) -> str:
@@ -128,7 +106,7 @@ def _verdict(met: bool, shown: bool) -> str:
 
 def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of one dimension."""
-    shown = [name for name in IN_GROUPS if any(name in figures for figures in groups.values())]
+    shown = [name for name in SHORT if any(name in figures for figures in groups.values())]
     rows = [[group, *(value(n, f.get(n), interval=False) for n in shown)] for group, f in groups.items()]
     return ["", *(SHORT[name] for name in shown)], rows
 
@@ -149,14 +127,12 @@ def markdown(content: Scores) -> str:
         + f"; made at commit {short(about['made_at'])}, hash of the answers {hashes}. "
         + "".join(f"`{method}` was run at commit {short(at)}. " for method, at in others.items())
         + "Shares with Wilson's 95 % interval and the number of cases behind them.",
-        "\n".join(f"    {line}" for line in about["commands"]),
+        f"    {about['command']}",
         markdown_table(*score_rows(content)),
         f"Targets, for `{first}`:",
         markdown_table(*target_rows(content["methods"][first]["targets"])),
         calibration(content["methods"][first]["scores"]["reliability"]),
     ]
-    if content.get("ties"):
-        parts.append(ties_line(content["ties"]))
     for dimension, groups in content["methods"][first]["scores"]["by"].items():
         parts += [f"`{first}` by {dimension}:", markdown_table(*group_rows(groups))]
     return "\n\n".join(parts) + "\n"
@@ -170,76 +146,6 @@ def calibration(claims: Mapping[str, Any]) -> str:
         f"Probabilities of the named effects: expected calibration error {claims['expected_error']:.3f} (ten bins of "
         f"equal count; absent names below 0.02 left out), Brier score {claims['brier']:.3f} over {claims['n']} claims."
     )
-
-
-def ties_line(ties: Mapping[str, Any]) -> str:
-    """How many ties the proposed experiment resolves, in a sentence or two."""
-    if ties["resolved"] is None:
-        return "No case had a tie for which an experiment was proposed."
-    left = [name for name, one in ties["cases"].items() if not all(tie["resolved"] for tie in one["ties"])]
-    verdict = _verdict(ties["met"], ties["shown"])
-    look = f" Not all resolved: {', '.join(left[:12])}." if left else ""
-    return (
-        f"Ties that the proposed next experiment resolves: {value('resolved', ties['resolved'])}, target "
-        f"≥ {100 * ties['target']:.0f} %, {verdict}; cases in which it shows exactly what was at work: "
-        f"{value('right', ties['right'])}.{look}"
-    )
-
-
-def publish(folder: Path, content: Scores, pictures: Mapping[str, np.ndarray]) -> Path:
-    """Write a report as a file of its own with its pictures beside it, and list it in the folder's README.md.
-
-    A report that the folder has is not written again: remarks that stand in its file stay.
-
-    Args:
-        folder: of published reports; made where it is not there.
-        content: what is kept in ``scores.json``.
-        pictures: by name, (H, W, 3) uint8.
-
-    Returns:
-        The file.
-    """
-    about, text = content["about"], markdown(content)
-    # one commit may take several sets of cases, and with several programs
-    digest = hashlib.sha256(text.encode()).hexdigest()[:8]
-    name = f"{about['date']}-{short(about['commit'])}-{about['scored']}-{digest}"
-    file, index = folder / f"{name}.md", folder / INDEX
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not file.exists():
-            for picture, image in pictures.items():
-                save(image, folder / f"{name}-{picture}.png")
-            links = (f"![{one.capitalize()}]({quote(f'{name}-{one}.png')})\n" for one in pictures)
-            write_whole(file, "\n".join([text, *links]))
-        before = index.read_text(encoding="utf-8") if index.exists() else ""
-        if f"({quote(file.name)})" not in before:
-            write_whole(index, _listed(before, _index_row(content, file)))
-    except OSError as error:
-        raise InputError(f"{folder} cannot be written ({error.strerror}); give another folder") from None
-    return file
-
-
-def _index_row(content: Scores, file: Path) -> list[str]:
-    """The line of the list that stands for a report."""
-    about, methods = content["about"], content["methods"]
-    whole = next(iter(methods.values()))["scores"]["all"].get("whole")
-    cases = f"{about['scored']} of {about['cases']}"
-    return [
-        f"[{about['date']}]({quote(file.name)})", short(about["commit"]), str(about["seed"]), cases,
-        ", ".join(methods), value("whole", whole),
-    ]  # fmt: skip
-
-
-def _listed(before: str, row: Sequence[str]) -> str:
-    """A page with one more line in its list of reports, which is begun where there is none; the rest stays."""
-    head = markdown_table(INDEX_HEADS, [])
-    if head not in before:
-        before = f"{before.rstrip() or '# Published benchmark reports'}\n\n{head}\n"
-    start, rest = before.split(head, 1)
-    lines = rest.splitlines()[1:]
-    rows = next((k for k, line in enumerate(lines) if not line.startswith("|")), len(lines))
-    lines.insert(rows, f"| {' | '.join(row)} |")
-    return "\n".join([start + head, *lines]) + "\n"
 
 
 @journal()
@@ -329,17 +235,13 @@ def blind_page(content: Scores, figures: Mapping[str, np.ndarray]) -> Page:
     groups = page.section("Group by group")
     for dimension, figures in entry["scores"]["by"].items():
         groups.add(f"By {dimension}", _on_page(*group_rows(figures)))
-    if content["ties"] is not None:
-        page.section("Ties").add(ties_line(content["ties"]).replace("**", ""))
     settings = {
         "scored": about["date"],
         "diagnosed": f"at commit {about['commit']}",
         "made": f"at commit {about['made_at']}, seed {about['seed']}",
         "hash of the answers": ", ".join(about["sha256"]),
     }
-    return how_made(
-        page, "blind score", "\n".join(about["commands"]), settings, words="what makes and scores it again"
-    )
+    return how_made(page, "blind score", about["command"], settings, words="what makes the cases again")
 
 
 def _lead(method: str, entry: Mapping[str, Any], about: Mapping[str, Any]) -> str:

@@ -11,7 +11,8 @@ from gapcase import only
 from hybrid_id.baselines.methods import joined, taken_apart
 from hybrid_id.baselines.run import METHODS
 from hybrid_id.errors import InputError
-from hybrid_id.machines.arms import motion, robot
+from hybrid_id.machines import arm as arms
+from hybrid_id.machines import draw_arm
 from hybrid_id.machines.make import make_case
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
@@ -25,9 +26,9 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dataset, Sys
     """Records, nominal model, and the joint where a constant torque acts."""
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(robot, "JOINTS", (2, 2))
-        patch.setattr(robot, "SERVOS", 1.0)
-        patch.setattr(motion, "LENGTH", 1.5)
+        patch.setattr(arms, "JOINTS", (2, 2))
+        patch.setattr(arms, "SERVOS", 1.0)
+        patch.setattr(draw_arm, "LENGTH", 1.5)
         case = make_case(27211, tmp_path_factory.mktemp("arm"), realism="arms", effect="constant_torque")
     truth = yaml.safe_load((case.parent / "answers" / f"{case.name}.yaml").read_text())
     yield Dataset.load(case), load_model(case / "model.yaml"), truth["effects"][0]["where"].split("/")[0]

@@ -1,4 +1,4 @@
-"""`blind make | run | score | reproduce` from the command line: sealed, resumed, refused, scored and published."""
+"""`blind make | run | score` from the command line: sealed, resumed, refused and scored."""
 
 import json
 import re
@@ -6,24 +6,20 @@ import shutil
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from browser import look_at
 from gapcase import only, small_case
 from typer.testing import CliRunner
 
-from hybrid_id.baselines import run as runner
 from hybrid_id.baselines.run import read_case
 from hybrid_id.cli.app import app
 from hybrid_id.cli.folder import sole_writer
 from hybrid_id.components import ConstantTorque
+from hybrid_id.machines import arm, draw_arm
 from hybrid_id.machines import experiments as plans
-from hybrid_id.machines import grading
 from hybrid_id.machines import make as making
 from hybrid_id.machines import seal as sealing
-from hybrid_id.machines.arms import motion, robot
 from hybrid_id.machines.seal import seal
-from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.systems.model_file import save_model
 
@@ -66,20 +62,16 @@ def sealed_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def test_run_is_scored_and_published(home: Path) -> None:
+def test_run_is_scored(home: Path) -> None:
     cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
     with only("constant_torque", "stribeck_friction"):
         said = call("run", cases, "--out", runs, "--method", "stribeck", "--method", "bic")
     assert "c003, InputError" in said and "1 of 3 cases broke" in said
-    before = (runs / "stribeck" / "c001" / "diagnosis.json").stat().st_mtime_ns
-    assert "2 of 3 cases are kept from before" in call("run", cases, "--out", runs, "--method", "stribeck")
-    assert (runs / "stribeck" / "c001" / "diagnosis.json").stat().st_mtime_ns == before
-    boards = home / "boards"
-    boards.mkdir()
-    index = boards / "README.md"
-    index.write_text("# Earlier\n")
-    told = call("score", runs, "--answers", archive, "--publish", boards)
-    assert "reproduce --out blind --seed 5 --cases 3 --system one_link --method bic --method stribeck" in told
+    before = (runs / "bic" / "c001" / "diagnosis.json").stat().st_mtime_ns
+    assert "2 of 3 cases are kept from before" in call("run", cases, "--out", runs, "--method", "bic")
+    assert (runs / "bic" / "c001" / "diagnosis.json").stat().st_mtime_ns == before
+    told = call("score", runs, "--answers", archive)
+    assert "hybrid-id blind make --out cases --seed 5 --cases 3 --first 1 --system one_link\n" in told
     content = json.loads((runs / "scores.json").read_text())
     assert content["about"]["scored"] == 3 and list(content["methods"]) == ["bic", "stribeck"]
     stribeck = content["methods"]["stribeck"]["scores"]["all"]
@@ -88,31 +80,8 @@ def test_run_is_scored_and_published(home: Path) -> None:
     assert {"confusion.png", "reliability.png", "report.html", "scoreboard.md"} <= {
         p.name for p in runs.iterdir()
     }
-    (board,) = boards.glob("2*.md")
-    with board.open("a") as file:
-        file.write("\nA remark.\n")
-    with index.open("a") as file:
-        file.write("\nMore words.\n")
-    first = {path.name: path.read_bytes() for path in boards.iterdir()}
-    assert "published as" in call("score", runs, "--answers", archive, "--publish", boards)
-    assert {path.name: path.read_bytes() for path in boards.iterdir()} == first, (
-        "the same board is there already"
-    )
-    call("run", cases, "--out", home / "others", "--method", "stribeck")
-    call("score", home / "others", "--answers", archive, "--publish", boards)
-    assert all((boards / name).read_bytes() == one for name, one in first.items() if name != index.name)
-    assert len(list(boards.iterdir())) == 7, "two boards with two pictures each, and their list"
-    for file in boards.glob("2*.md"):
-        text = file.read_text()
-        assert text.startswith("# 2") and text.count(", seed 5\n") == 1
-        links = set(re.findall(r"!\[\w+\]\((.*?)\)", text))
-        assert len(links) == 2 and all((boards / link).stat().st_size > 1000 for link in links)
-    text = index.read_text()
-    assert text.startswith("# Earlier\n\n| date |") and text.endswith(" |\n\nMore words.\n")
-    assert text.count("| 5 | 3 of 3 | bic, stribeck | 67 % (21 to 94; 3) |\n") == 1
-    assert text.count("| 5 | 3 of 3 | stribeck | 0 % (0 to 56; 3) |\n") == 1
-    listed = re.findall(r"\[2[\d-]+\]\((.*?)\)", text)
-    assert listed[0] == board.name and set(listed) == {file.name for file in boards.glob("2*.md")}
+    text = (runs / "scoreboard.md").read_text()
+    assert text.startswith("# 2") and text.count(", seed 5\n") == 1
     page = (runs / "report.html").read_text()
     assert (
         "bic meets 2 of 5 targets, 2 of these with an interval that reaches beyond the target (7 more" in page
@@ -122,29 +91,6 @@ def test_run_is_scored_and_published(home: Path) -> None:
         and "Over all cases: the right effect first 0" in page
     )
     look_at(runs / "report.html", home, figures=2)
-
-
-def test_former_option_publishes_beside_the_page_that_it_names(home: Path) -> None:
-    runs, archive, page = home / "runs", home / "sealed" / "a.tar", home / "blind.md"
-    page.write_text("# Earlier\n")
-    call("run", home / "cases", "--out", runs, "--method", "stribeck")
-    wish = ("score", runs, "--answers", archive)
-    said = call(*wish, "--append", page)
-    assert "--append is deprecated" in said and f"give --publish {home / 'boards'}" in said
-    assert page.read_text() == "# Earlier\n"
-    (board,) = (home / "boards").glob("2*.md")
-    assert (
-        "3 of 3 cases scored" in board.read_text()
-        and board.name in (home / "boards" / "README.md").read_text()
-    )
-    (home / "boards" / "README.md").unlink()  # as after a kill between the two files
-    assert "deprecated" not in call(*wish, "--publish", home / "boards")
-    assert board.name in (home / "boards" / "README.md").read_text()
-    call(*wish, "--append", home / "NOTES", fails=r"ends in \.md")
-    call(*wish, "--append", page, "--publish", home / "boards", fails="contradict")
-    call(*wish, "--publish", page, fails="is a file; give a folder")
-    call("reproduce", "--out", home / "again", "--publish", page, fails="is a file; give a folder")
-    assert "--append" not in call("score", "--help")
 
 
 def test_answers_within_reach_and_other_answers_are_refused(home: Path) -> None:
@@ -199,9 +145,9 @@ def test_an_arm_is_made_diagnosed_joint_by_joint_and_scored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco")
-    monkeypatch.setattr(robot, "JOINTS", (2, 2))
-    monkeypatch.setattr(robot, "SERVOS", 1.0)
-    monkeypatch.setattr(motion, "LENGTH", 1.5)
+    monkeypatch.setattr(arm, "JOINTS", (2, 2))
+    monkeypatch.setattr(arm, "SERVOS", 1.0)
+    monkeypatch.setattr(draw_arm, "LENGTH", 1.5)
     cases, runs, archive = tmp_path / "a" / "cases", tmp_path / "runs", tmp_path / "sealed" / "a.tar"
     wish = ("--realism", "arms", "--seed", 27207, "--cases", 1, "--effect", "encoder_zero")
     call("make", "--out", cases, "--answers", archive, *wish)
@@ -264,7 +210,6 @@ def test_another_program_takes_part(home: Path) -> None:
         "| first name right (single effects; a dominant one of a messy machine) | 100 % (21 to 100; 1) |"
         in told
     )
-    assert "--command '" in told and f"{program} {{case}}" in told
     call("run", cases, "--out", runs, "--method", "external", fails="belong together")
     told = ("--method", "external", "--command", command, "--train-records", 2)
     call("run", cases, "--out", home / "fewer", *told, fails="takes cases as they are")
@@ -319,56 +264,3 @@ def test_making_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest
     call("make", *wish)
     assert (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns == first
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["c001", "c002", "manifest.json"]
-
-
-def test_one_command_makes_runs_and_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))
-    wish = ["--cases", 1, "--seed", 4, "--family", "none", "--system", "one_link", "--method", "stribeck"]
-    said = call("reproduce", "--out", tmp_path / "a", *wish)
-    assert "1 of 1 cases scored" in said and "hash of the answers" in said
-    assert "hash of the answers:" not in call("reproduce", "--out", tmp_path / "a", *wish)
-    call("reproduce", "--out", tmp_path / "a", *wish, "--level", "weak", fails="cases of another seed")
-    again = call("reproduce", "--out", tmp_path / "b", *wish)
-    assert re.findall(r"hash of the answers: (\w+)", again) == re.findall(r"hash of the answers: (\w+)", said)
-    printed = call("reproduce", "--out", tmp_path / "a", *wish, "--json")
-    told = json.loads(printed[printed.index("{") :])
-    assert told["about"]["scored"] == 1 and told["command"] == "blind score"
-
-
-def test_proposed_experiment_is_simulated_and_parts_a_tie(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))
-    seen = []
-
-    def fake(dataset: Dataset, system: object) -> dict:
-        """Undecided about six records; one more shows what is at work."""
-        seen.append(sorted(record.name for record in dataset.train))
-        two = ["stribeck_friction", "presliding_friction"]
-        effects = [
-            {
-                "name": n,
-                "where": "joint1/motor_friction",
-                "probability": 0.5,
-                "selected": n == two[0],
-                "tied_with": [],
-            }
-            for n in two
-        ]
-        proposed = {"name": "slow", "joint": 1, "sample_time": 0.002, "command": [0.0] * 50 + [1.0] * 200}
-        tied = len(dataset.train) < 7
-        about = {"ties": [two] if tied else [], "next_experiments": [proposed] if tied else []}
-        return {"case": "", "verdict": "effects", "unknown": False, "effects": effects, "gap": {}} | about
-
-    monkeypatch.setattr(runner, "METHODS", {"diagnose": fake})
-    wish = ["--cases", 1, "--seed", 7, "--effect", "stribeck_friction", "--system", "one_link"]
-    said = call("reproduce", "--out", tmp_path, *wish, "--level", "strong")
-    assert "1 of 1 cases scored" in said
-    assert "experiment resolves: 100 %" in said and "at work: 100 %" in said
-    assert "further" in seen[-1] and len(seen) == 2
-    made, runs, archive = (tmp_path / name for name in ("cases/made", "runs/made", "sealed/made.answers.tar"))
-    call("ties", made, runs, "--answers", archive)
-    assert len(seen) == 2
-    assert "experiment resolves: 100 %" in call("score", runs, "--answers", archive)

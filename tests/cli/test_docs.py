@@ -9,11 +9,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
-from typer.main import get_command
 
-from hybrid_id.cli.blind import blind
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.scoreboard import INDEX, ROWS
+from hybrid_id.reporting.scoreboard import ROWS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 ELSEWHERE = {"effects.md", "tour.md"}  # tests/diagnosis/test_effects_guide.py and test_readme.py run them
@@ -82,19 +80,6 @@ def test_the_blind_check_is_short_and_says_what_each_row_means() -> None:
     assert len(re.findall(r"\S*\w\S*", text)) <= 900
     missing = [words for words in ROWS.values() if words not in text]
     assert not missing, f"docs/blind.md does not explain {missing}"
-
-
-def test_each_published_scoreboard_is_listed_once_and_prints_what_makes_it_again() -> None:
-    boards = DOCS / "boards"
-    reproduce = get_command(blind).commands["reproduce"]  # type: ignore[attr-defined]
-    names = re.findall(r"^\| \[.*?\]\((.*?)\)", (boards / INDEX).read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(names) == sorted(file.name for file in boards.glob("2*.md"))
-    for name in names:
-        text = (boards / name).read_text(encoding="utf-8")
-        commit, seed = re.findall(r"^# [\d-]+, commit ([\w-]+), seed (\d+)$", text, re.MULTILINE)[0]
-        (command,) = re.findall(r"^    hybrid-id blind reproduce (.*)$", text, re.MULTILINE)
-        given = reproduce.make_context("reproduce", shlex.split(command)).params
-        assert commit in name and given["seed"] == seed
 
 
 @pytest.mark.parametrize(

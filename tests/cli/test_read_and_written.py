@@ -48,7 +48,7 @@ SOONER = {
     "export, a record": "a record of the dataset beside it",
 }
 """What is said of some before it is known that the command reads them."""
-WITHOUT_INPUT = {"reproduce", "schema", "blind make", "blind reproduce"}
+WITHOUT_INPUT = {"reproduce", "schema", "blind make"}
 OWN = {"blind run"}
 """Goes on in the folder of runs that it has made."""
 

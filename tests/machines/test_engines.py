@@ -4,31 +4,26 @@ import numpy as np
 import pytest
 
 from hybrid_id.machines import experiments as plans
-from hybrid_id.machines.case import Case, build, record
-from hybrid_id.machines.effects import CATALOGUE
-from hybrid_id.machines.experiments import SAMPLE_TIME, draw_campaign, noise_std
+from hybrid_id.machines.case import Case
+from hybrid_id.machines.effects import CATALOGUE, Effect
+from hybrid_id.machines.experiments import SAMPLE_TIME, draw_campaign
 from hybrid_id.machines.physics.bench import replay, run
-from hybrid_id.machines.physics.mujoco import Unsupported
+from hybrid_id.machines.physics.mujoco import MujocoMachine, Unsupported, planar
 from hybrid_id.machines.robots import SYSTEMS, draw_robot
+from hybrid_id.machines.trials import Trials
 from hybrid_id.records.yaml_file import validate
 from hybrid_id.study.replays import replay as model_replay
 from hybrid_id.systems.model_file import build_model
 from hybrid_id.systems.model_schema import ModelFile
 
-IN_BOTH = [
-    ("one_link", "InputDelay"),
-    ("one_link", "CoggingTorque"),
-    ("one_link", "WindingLag"),
+FORMULAS = [
     ("one_link", "Warming"),
-    ("one_link", "MotorDrag"),
-    ("one_link", "Unbalance"),
-    ("one_link", "Hose"),
+    ("one_link", "PreslidingLuGre"),
     ("two_link", "Bias"),
-    ("one_link", "SoftGear"),
-    ("one_link", "Threshold"),
+    ("one_link", "FlatTeeth"),
     ("one_link_flexible", "LinkCoulomb"),
-    ("one_link_flexible", "CubicSpring"),
 ]
+"""One of each way in which an effect meets the stepping: laws are the same in both."""
 
 
 @pytest.fixture(autouse=True)
@@ -36,41 +31,41 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plans, "LENGTHS", (700, 800))
 
 
-def case_of(system: str, seed: int = 3, error: float = 0.0) -> Case:
+def trials_of(system: str, seed: int, formula: str = "") -> Trials:
     rng = np.random.default_rng(seed)
     robot = draw_robot(rng, system)
-    return Case("x", robot, (), draw_campaign(rng, robot), robot.model(rng, error))
+    campaign, effects = draw_campaign(rng, robot), list[Effect]()
+    if formula:
+        kind = next(k for kinds in CATALOGUE.values() for k in kinds if k.__name__ == formula)
+        effects = [kind.draw(np.random.default_rng(1), robot, robot.joints - 1)]
+    return Trials(robot, effects, campaign)
+
+
+def both(trials: Trials, *sizes: float) -> list[np.ndarray]:
+    """Rotor angles of a machine in both engines, under the same voltages."""
+    encoders = trials.campaign.encoders
+    machine = trials.machine(np.zeros((len(trials.effects), 8)), {}, {}, least=4)
+    volts, _ = run(machine, trials.campaign.program, encoders, sample_time=SAMPLE_TIME)
+    machine = trials.machine(np.outer(sizes, np.ones(8)), {}, {}, least=4)
+    plants = machine, MujocoMachine(*planar(machine))
+    return [replay(plant, volts, sample_time=SAMPLE_TIME) for plant in plants]
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_engines_agree_far_below_the_noise(system: str) -> None:
     pytest.importorskip("mujoco")
-    case = case_of(system)
-    encoders = case.campaign.encoders
-    volts, measured = run(case.plant(), case.campaign.program, encoders, sample_time=SAMPLE_TIME)
-    angles = [
-        replay(build(case.robot, (), engine), volts, sample_time=SAMPLE_TIME)
-        for engine in ("in_house", "mujoco")
-    ]
-    error = (angles[0] - angles[1]).std(axis=0)[: case.robot.joints].mean(axis=-1)
-    assert np.all(error < 0.2 * noise_std(encoders)[: case.robot.joints])
-    assert np.all(np.ptp(measured, axis=0) > 10 * noise_std(encoders)[:, None])
+    trials = trials_of(system, 3)
+    here, there = both(trials)
+    noise = trials.noise[: trials.robot.joints]
+    assert np.all((here - there).std(axis=0).mean(axis=-1) < 0.2 * noise)
+    assert np.all(np.ptp(here, axis=0) > 10 * noise[:, None])
 
 
-@pytest.mark.parametrize(("system", "formula"), IN_BOTH)
+@pytest.mark.parametrize(("system", "formula"), FORMULAS)
 def test_engines_agree_on_an_effect(system: str, formula: str) -> None:
     pytest.importorskip("mujoco")
-    case = case_of(system, seed=5)
-    kind = next(k for kinds in CATALOGUE.values() for k in kinds if k.__name__ == formula)
-    effect = kind.draw(np.random.default_rng(1), case.robot, case.robot.joints - 1)
-    volts, _ = run(case.plant(), case.campaign.program, case.campaign.encoders, sample_time=SAMPLE_TIME)
-    before, after = (
-        [
-            replay(build(case.robot, effects, engine), volts, sample_time=SAMPLE_TIME)
-            for engine in ("in_house", "mujoco")
-        ]
-        for effects in ((), (effect,))
-    )
+    trials = trials_of(system, 5, formula)
+    before, after = both(trials, 0.0), both(trials, 1.0)
     # what the effect changes, for a drawn effect may be small beside what the engines differ by without it
     here, there = (with_it - without for with_it, without in zip(after, before, strict=True))
     assert (here - there).std() < 0.15 * here.std()
@@ -78,17 +73,16 @@ def test_engines_agree_on_an_effect(system: str, formula: str) -> None:
 
 def test_mujoco_says_what_it_cannot_do() -> None:
     pytest.importorskip("mujoco")
-    case = case_of("one_link")
-    effect = CATALOGUE["kinematic_error"][0].draw(np.random.default_rng(1), case.robot, 0)
     with pytest.raises(Unsupported, match="gear errors"):
-        build(case.robot, (effect,), "mujoco")
+        both(trials_of("one_link", 3, "GearError"), 1.0)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_true_model_of_the_package_replays_a_case_to_its_noise_floor(system: str) -> None:
-    case = case_of(system, seed=8)
-    records = record(case)
-    model = build_model(validate(ModelFile, case.model, "model"))
-    tests = records.dataset.select([r.name for r in records.dataset.test])
+    trials = trials_of(system, 8)
+    made = trials.record([()], np.ones((trials.robot.joints, 8)))
+    case = Case("x", trials.bare, trials.campaign, trials.bare.model(np.random.default_rng(0), 0.0))
+    model, data = build_model(validate(ModelFile, case.model, "model")), case.dataset(made[0])
+    tests = data.select([r.name for r in data.test])
     error = np.mean([e for done in model_replay(tests, model) for e in done.nrmse.values()])
-    assert error == pytest.approx(records.noise_floor, rel=0.05)
+    assert error == pytest.approx(trials.floors([()], made)[0].test, rel=0.05)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from hybrid_id.machines.effects.motor import DeadZone, HardLimit, SoftLimit, Threshold
 from hybrid_id.machines.physics.friction import Coulomb, Dahl, LuGre, MaxwellSlip, Stribeck
 from hybrid_id.machines.physics.law import Push, Signals
-from hybrid_id.machines.physics.motor import Deadband, Delay, Motor, Saturation, SoftSaturation
+from hybrid_id.machines.physics.motor import Delay, Motor
 from hybrid_id.machines.physics.transmission import Gear, Play, PlaySpring
 
 
@@ -53,10 +54,11 @@ def test_stribeck_falls_from_breakaway_to_coulomb(shape: str) -> None:
 
 def test_amplifiers() -> None:
     x, volts = Signals(3), np.array([-0.5, 0.8, 3.0])
-    assert Deadband(0.7, 0.0).volts(volts, x) == pytest.approx([0, 0.8, 3.0])
-    assert Deadband(0.7, 1.0).volts(volts, x) == pytest.approx([0, 0.1, 2.3])
-    assert Saturation(0.7).volts(volts, x) == pytest.approx([-0.5, 0.7, 0.7])
-    soft = SoftSaturation(1.0).volts(volts, x)
+    assert Threshold(0, {"volts": 0.7}).volts(volts, x, None) == pytest.approx([0, 0.8, 3.0])
+    assert DeadZone(0, {"volts": 0.7}).volts(volts, x, None) == pytest.approx([0, 0.1, 2.3])
+    limits = {"supply": 1.4, "excess": 1.0}
+    assert HardLimit(0, limits).volts(volts, x, None) == pytest.approx([-0.5, 0.7, 0.7])
+    soft = SoftLimit(0, limits | {"excess": 0.4}).volts(volts, x, None)
     assert soft[0] == pytest.approx(-0.5, abs=0.01)
     assert soft[2] == pytest.approx(1.0, abs=0.01)
 

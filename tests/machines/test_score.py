@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from hybrid_id.cli.blind_runs import resolved
 from hybrid_id.machines.judge import Judged, judge
 from hybrid_id.machines.score import against_targets, confusion, figures, median, reliability, scores, share
 
@@ -270,31 +269,6 @@ def test_targets_say_what_fell_short_and_where_to_look() -> None:
     assert rows["false alarms where the structure is right"]["met"]
     assert rows["95 % intervals that hold the true shrink"]["target"] == "90-99 %"
     assert all(math.isfinite(row["seen"]["value"]) for row in rows.values() if row["seen"])
-
-
-def test_a_tie_is_not_parted_by_naming_nothing() -> None:
-    named = said(effect("stribeck_friction", selected=True)) | {"ties": []}
-    silent = said(effect("stribeck_friction")) | {"ties": []}
-    tied = named | {"ties": [["stribeck_friction@a", "delay@b"]]}
-    sheets = dict.fromkeys(("named", "silent", "tied", "broken"), STRIBECK)
-    before = dict.fromkeys(sheets, tied["ties"])
-    found = resolved(before, {"named": named, "silent": silent, "tied": tied, "broken": None}, sheets)
-    assert [name for name, one in found["cases"].items() if one["ties"][0]["resolved"]] == ["named"]
-    assert (found["resolved"]["value"], found["resolved"]["n"]) == (0.25, 4)
-
-
-def test_a_tie_of_two_names_for_one_thing_is_resolved_and_so_is_one_of_what_has_no_name() -> None:
-    bias = truth("constant_torque", "joint1/load")
-    bias |= {"right": ["constant_torque@joint1/load", "asymmetric_friction@joint1/motor_friction"]}
-    tied = said(effect("constant_torque", "joint1/load", selected=True)) | {"ties": [bias["right"]]}
-    other = said(effect("constant_torque", "joint1/load", selected=True))
-    other |= {"ties": [[*bias["right"], "spring_load@joint1/load"]]}
-    unknown = said(unknown=True) | {"ties": []}
-    names = ("tied", "other", "unknown")
-    sheets, before = dict.fromkeys(names, sheet("single", bias)), dict.fromkeys(names, other["ties"])
-    found = resolved(before, {"tied": tied, "other": other, "unknown": unknown}, sheets)["cases"]
-    assert [found[name]["ties"][0]["resolved"] for name in names] == [True, False, True]
-    assert [found[name]["right"] for name in ("tied", "other", "unknown")] == [True, False, False]
 
 
 def part(name: str, role: str, share: float, closes: float, where: str = FRICTION) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from hybrid_id.machines.physics.bench import replay
 from hybrid_id.machines.physics.steps import Notes, Steps, Term
 from hybrid_id.machines.robots import SYSTEMS, draw_robot
 
-EFFECTS = [kind for kinds in (*CATALOGUE.values(), OUTSIDE) for kind in kinds]
+EFFECTS = [k for kinds in (*CATALOGUE.values(), OUTSIDE) for k in kinds if set(k.systems) & set(SYSTEMS)]
 COMPILED = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs a C compiler")
 LANES, SAMPLES, TIME = 17, 120, 0.002
 

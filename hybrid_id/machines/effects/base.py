@@ -5,8 +5,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law
+from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
 from hybrid_id.machines.physics.machine import Drive, Machine
+from hybrid_id.machines.physics.transmission import Spring
 from hybrid_id.machines.robots import Robot
 
 UNKNOWN = "unknown"
@@ -31,6 +32,10 @@ class Effect:
         signed: keys of `values` that may be negative.
         substeps: steps a sample that a fit of it needs.
         replaces: whether it takes the place of a part of the drive: of size zero it is not gone.
+        formula: what the ground truth calls it, and who asks for this formula alone; the name of the class by default.
+        alias: a second name of the catalogue and its place that mean the same.
+        memory: states (B,) of an effect that is a law itself, zero at rest.
+        needs_effort: as of a `Law`.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -44,9 +49,15 @@ class Effect:
     signed: ClassVar[tuple[str, ...]] = ()
     substeps: ClassVar[int] = 1
     replaces: ClassVar[bool] = False
+    formula: ClassVar[str]
+    alias: ClassVar[tuple[str, str] | None] = None
+    memory: ClassVar[tuple[str, ...]] = ()
+    needs_effort: ClassVar[bool] = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        if "formula" not in cls.__dict__:
+            cls.formula = cls.__name__
         if "draw" in cls.__dict__ or "place" in cls.__dict__:
             if cls.name == UNKNOWN:
                 OUTSIDE.append(cls)
@@ -58,13 +69,13 @@ class Effect:
         self.values: dict[str, Any] = dict(values)
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, robot: Robot, joint: int) -> Self:
-        """An effect of plausible size for a robot."""
+    def draw(cls, rng: np.random.Generator, robot: Any, joint: int) -> Self:
+        """An effect of plausible size for a robot, or an arm."""
         raise NotImplementedError
 
     @classmethod
-    def fits(cls, robot: Robot) -> bool:
-        """Whether a robot can have it."""
+    def fits(cls, robot: Any) -> bool:
+        """Whether a robot, or an arm, can have it."""
         return robot.system in cls.systems
 
     @classmethod
@@ -95,11 +106,24 @@ class Effect:
         """The robot with the effect, where it is a parameter that the nominal model lacks."""
         return robot
 
-    def law(self, robot: Robot) -> Law | InputLaw | None:
-        """The law that it adds at its place; None where it is a parameter, or replaces a part."""
-        return None
+    def act(self, push: Push, x: Signals, m: Any) -> None:
+        """What an effect that is a law itself adds at its place; `m` has its memory, each with `_`, and the `robot`."""
 
-    def install(self, machine: Machine, robot: Robot) -> None:
+    def volts(self, volts: np.ndarray, x: Signals, m: Any) -> np.ndarray:
+        """What an effect that is a law of the amplifier itself makes of a voltage (B,) [V]; `m` as above."""
+        return volts
+
+    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float, m: Any) -> np.ndarray:
+        """Torque on the link (B,) [N m] of an effect that is a gear's spring itself; `m` as above."""
+        raise NotImplementedError
+
+    def law(self, robot: Any) -> Law | InputLaw | None:
+        """The law that it adds at its place, itself if it acts; None where it is a parameter, or replaces a part."""
+        if type(self).volts is not Effect.volts:
+            return ActingInput(self, robot)
+        return Acting(self, robot) if type(self).act is not Effect.act else None
+
+    def install(self, machine: Machine, robot: Any) -> None:
         """Build the effect into a machine, in place."""
         law, drive = self.law(robot), self.drive(machine)
         if isinstance(law, InputLaw):
@@ -108,8 +132,45 @@ class Effect:
             (drive.link_laws if self.place in ("load", "link_friction") else drive.rotor_laws).append(law)
 
     def drive(self, machine: Machine) -> Drive:
-        """The joint that it acts on."""
-        return machine.drives[self.joint]
+        """The joint that it acts on, which may stand by itself."""
+        return machine.drives[self.joint if len(machine.drives) > 1 else 0]
+
+
+class _WithMemory:
+    """An effect that is a law itself, the robot that it acts on, and its memory."""
+
+    def __init__(self, effect: Effect, robot: Any) -> None:
+        self.effect: Any = effect
+        self.robot, self.needs_effort = robot, effect.needs_effort
+
+    def start(self, lanes: int) -> None:
+        """Set the memory of B runs to rest."""
+        for name in self.effect.memory:
+            setattr(self, f"_{name}", np.zeros(lanes))
+
+
+class Acting(_WithMemory, Law):
+    """An effect as a law."""
+
+    def act(self, push: Push, x: Signals) -> None:
+        """Add what the effect contributes."""
+        self.effect.act(push, x, self)
+
+
+class ActingInput(_WithMemory, InputLaw):
+    """An effect as a law of the amplifier."""
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        """Voltage behind the effect (B,) [V]."""
+        return self.effect.volts(volts, x, self)
+
+
+class ActingSpring(_WithMemory, Spring):
+    """An effect as the spring of a gear."""
+
+    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
+        """Torque on the link (B,) [N m]."""
+        return self.effect.torque(twist, rate, step, self)
 
 
 def stall(robot: Robot, joint: int) -> Any:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import Effect, dry, fast
+from hybrid_id.machines.effects.base import Acting, Effect, dry, fast
 from hybrid_id.machines.physics.friction import (
     Coulomb,
     Dahl,
@@ -11,7 +11,6 @@ from hybrid_id.machines.physics.friction import (
     MaxwellSlip,
     PositionDependent,
     Power,
-    SmoothCoulomb,
     Stribeck,
     Uneven,
 )
@@ -42,14 +41,19 @@ class WithheldCoulomb(Effect):
 
 
 class WithheldSmoothCoulomb(WithheldCoulomb):
-    """The same as a steep smooth law, which creeps."""
+    """The same as a steep smooth law, ``F_c tanh(v / 0.4)``, which creeps where a set-valued one sticks."""
 
     place, replaces = "motor_friction", True
 
     def install(self, machine, robot):
         drive = self.drive(machine)
         without(drive, Coulomb)
-        drive.rotor_laws.append(SmoothCoulomb(self.values["F_c"], 0.4))
+        drive.rotor_laws.append(Acting(self, robot))
+
+    def act(self, push, x, m):
+        ratio = np.abs(x.v_m) / 0.4
+        secant = np.where(ratio > 1e-6, np.tanh(ratio) / np.maximum(ratio, 1e-6), 1.0)
+        push.slope = push.slope + self.values["F_c"] / 0.4 * secant
 
 
 class LinkCoulomb(Effect):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, dry, stall
-from hybrid_id.machines.physics.motor import Cogging, Deadband, Delay, Saturation, SoftSaturation, SupplySag
+from hybrid_id.machines.physics.motor import Cogging, Delay
 from hybrid_id.machines.robots import log_uniform
 
 
@@ -45,8 +45,9 @@ class Threshold(Effect):
         breakaway = dry(robot, joint) / robot.value(joint, "P_m1")
         return cls(joint, {"volts": breakaway * rng.uniform(0.4, 1.5)})
 
-    def law(self, robot):
-        return Deadband(self.values["volts"], self.shift)
+    def volts(self, volts, x, m):
+        size, threshold = np.abs(volts), self.values["volts"]
+        return np.where(size > threshold, np.sign(volts) * (size - self.shift * threshold), 0.0)
 
 
 class DeadZone(Threshold):
@@ -60,7 +61,6 @@ class HardLimit(Effect):
     """A supply below the largest commands, which cuts them."""
 
     name, place, sized, size_keys = "voltage_saturation", "input", ("excess",), {"volts": "volts"}
-    soft = False
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -74,31 +74,39 @@ class HardLimit(Effect):
     def size(self):
         return Effect(self.joint, {"volts": self.limit}).size()
 
-    def law(self, robot):
-        return SoftSaturation(self.limit) if self.soft else Saturation(self.limit)
+    def volts(self, volts, x, m):
+        return np.clip(volts, -self.limit, self.limit)
 
 
 class SoftLimit(HardLimit):
-    """The same, neared gradually."""
+    """The same, neared gradually: ``u / (1 + |u / limit|^8)^(1/8)``."""
 
     place, replaces = "input", True
-    soft = True
+
+    def volts(self, volts, x, m):
+        return volts / (1 + np.abs(volts / self.limit) ** 8.0) ** (1 / 8.0)
 
 
 class WeakSupply(Effect):
-    """A supply whose voltage sags under load."""
+    """A weak supply behind a PWM amplifier: ``u - sag d^2 T`` with the duty ``d = u / supply`` and the motor torque T.
+
+    The source carries ``d`` times the winding's current, and the winding sees ``d`` times what it is left with; ``sag``
+    [V/(N m)], ``supply`` [V]. Braking pumps it up.
+    """
 
     name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
+    needs_effort = True
 
     @classmethod
     def draw(cls, rng, robot, joint):
         sag = rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)
         return cls(joint, {"sag": sag, "supply": robot.supply})
 
-    def law(self, robot):
+    def volts(self, volts, x, m):
+        v = self.values
         # beyond it the voltage that is left swings from step to step
-        most = 0.9 / robot.value(self.joint, "P_m1")
-        return SupplySag(np.minimum(self.values["sag"], most), self.values["supply"])
+        most = 0.9 / m.robot.value(self.joint, "P_m1")
+        return volts - np.minimum(v["sag"], most) * (volts / v["supply"]) ** 2 * x.effort
 
 
 class WindingLag(Effect):

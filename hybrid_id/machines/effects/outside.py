@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import UNKNOWN, Effect, dry, fast, link_inertia
-from hybrid_id.machines.physics import friction, load
-from hybrid_id.machines.physics.motor import TorqueRipple, UnevenGain
-from hybrid_id.machines.physics.transmission import HystereticSpring
+from hybrid_id.machines.effects.base import UNKNOWN, ActingSpring, Effect, dry, fast, link_inertia
 from hybrid_id.machines.robots import log_uniform
+
+RESTING = 0.1
+"""Time at the start of each record before the frame is shaken [s]."""
 
 
 class Outside(Effect):
@@ -16,7 +16,7 @@ class Outside(Effect):
 
 
 class GrowingFriction(Outside):
-    """Dry friction that grows while a record runs."""
+    """Dry friction that grows as ``F (1 - exp(-t / T))`` in each record: grease that stiffens, a gear that warms."""
 
     place, sized = "motor_friction", ("F",)
 
@@ -24,14 +24,14 @@ class GrowingFriction(Outside):
     def draw(cls, rng, robot, joint):
         return cls(joint, {"F": dry(robot, joint) * rng.uniform(0.5, 2.0), "T": rng.uniform(2.0, 8.0)})
 
-    def law(self, robot):
-        return friction.WearingIn(self.values["F"], self.values["T"])
+    def act(self, push, x, m):
+        push.dry(self.values["F"] * (1 - np.exp(-np.maximum(x.time, 0.0) / self.values["T"])))
 
 
 class ThinningGrease(Outside):
-    """Viscous friction that falls with the work done on it."""
+    """Viscous friction that falls with the work E done on it [J]: ``F / (1 + E / E_0)``."""
 
-    place, sized = "motor_friction", ("F",)
+    place, sized, memory = "motor_friction", ("F",), ("work",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -39,22 +39,26 @@ class ThinningGrease(Outside):
         F = dry(robot, joint) * rng.uniform(0.5, 2.0) / speed
         return cls(joint, {"F": F, "E_0": F * speed**2 * rng.uniform(0.2, 1.0)})
 
-    def law(self, robot):
-        return friction.WarmingGear(self.values["F"], self.values["E_0"])
+    def act(self, push, x, m):
+        slope = self.values["F"] / (1 + m._work / self.values["E_0"])
+        m._work = m._work + x.step * slope * x.v_m**2
+        push.slope = push.slope + slope
 
 
 class StickAfterRest(Outside):
-    """Breakaway that grows with the time at rest."""
+    """Breakaway that grows with the time at rest, ``F (1 - exp(-t_rest / T))``, gone after ``slip`` [rad] of motion."""
 
-    place, sized = "motor_friction", ("F",)
+    place, sized, memory = "motor_friction", ("F",), ("rest",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
         F = dry(robot, joint) * rng.uniform(1.0, 3.0)
         return cls(joint, {"F": F, "T": rng.uniform(0.05, 0.4), "slip": rng.uniform(1.0, 8.0)})
 
-    def law(self, robot):
-        return friction.StickAfterRest(self.values["F"], self.values["T"], self.values["slip"])
+    def act(self, push, x, m):
+        v, speed = self.values, np.abs(x.v_m)
+        push.dry(v["F"] * (1 - np.exp(-m._rest / v["T"])))
+        m._rest = np.where(speed > 0, m._rest * np.exp(-speed * x.step / v["slip"]), m._rest + x.step)
 
 
 class CubicDrag(Outside):
@@ -66,12 +70,12 @@ class CubicDrag(Outside):
     def draw(cls, rng, robot, joint):
         return cls(joint, {"F": dry(robot, joint) * rng.uniform(0.5, 2.0) / fast(robot, joint) ** 3})
 
-    def law(self, robot):
-        return friction.Power(self.values["F"], exponent=3.0)
+    def act(self, push, x, m):
+        push.slope = push.slope + self.values["F"] * x.v_m**2
 
 
 class Groove(Outside):
-    """A latch at one angle of the link."""
+    """A latch at one angle of the link: ``-A d / w exp(-(d / w)^2)`` pulls it into q_0; A [N m], w [rad]."""
 
     place, sized = "load", ("A",)
 
@@ -80,12 +84,13 @@ class Groove(Outside):
         A = dry(robot, joint) * robot.ratio[joint] * rng.uniform(1.0, 4.0)
         return cls(joint, {"A": A, "q_0": rng.uniform(-0.3, 0.3), "width": rng.uniform(0.03, 0.12)})
 
-    def law(self, robot):
-        return load.Latch(self.values["A"], self.values["q_0"], self.values["width"])
+    def act(self, push, x, m):
+        d = (x.q_a - self.values["q_0"]) / self.values["width"]
+        push.torque = push.torque - self.values["A"] * d * np.exp(-(d**2))
 
 
 class ToolContact(Outside):
-    """A soft obstacle on one side."""
+    """A soft obstacle from angle `start_at` [rad] on: ``-k p - d p'`` of the depth p, never pulling."""
 
     place, sized = "load", ("k", "d")
 
@@ -95,12 +100,15 @@ class ToolContact(Outside):
         side = rng.choice([-1, 1]) * rng.uniform(0.1, 0.4)
         return cls(joint, {"k": k, "d": 0.05 * k, "start_at": side})
 
-    def law(self, robot):
-        return load.SoftStop(self.values["start_at"], self.values["k"], self.values["d"])
+    def act(self, push, x, m):
+        v, side = self.values, np.sign(self.values["start_at"])
+        depth = np.maximum(side * (x.q_a - v["start_at"]), 0.0)
+        force = v["k"] * depth + np.where(depth > 0, v["d"] * side * x.v_a, 0.0)
+        push.torque = push.torque - side * np.maximum(force, 0.0)
 
 
 class TorquePulses(Outside):
-    """Pulses of torque from outside."""
+    """Torque pulses [N m] of given length [s] every `period` seconds from `first` on, of alternating sign."""
 
     place, sized = "load", ("torque",)
 
@@ -116,13 +124,16 @@ class TorquePulses(Outside):
         }
         return cls(joint, values)
 
-    def law(self, robot):
+    def act(self, push, x, m):
         v = self.values
-        return load.Pulses(v["torque"], float(v["first"]), float(v["period"]), float(v["length"]))
+        count = np.floor((x.time - v["first"]) / v["period"])
+        side = 1 - 2 * (count - 2 * np.floor(0.5 * count))
+        pushes = (x.time > v["first"]) & (x.time - v["first"] - count * v["period"] < v["length"])
+        push.torque = push.torque + np.where(pushes, v["torque"] * side, 0.0)
 
 
 class ShakenFrame(Outside):
-    """A torque that is periodic in time."""
+    """A neighbour that shakes the frame: ``A sin(2 pi f t + phase)``; A [N m], f [Hz]."""
 
     place, sized = "load", ("A",)
 
@@ -131,14 +142,19 @@ class ShakenFrame(Outside):
         A = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.5, 2.0)
         return cls(joint, {"A": A, "f": rng.uniform(0.5, 6.0), "phase": rng.uniform(0, 2 * np.pi)})
 
-    def law(self, robot):
-        return load.PeriodicTorque(self.values["A"], float(self.values["f"]), float(self.values["phase"]))
+    def act(self, push, x, m):
+        wave = self.values["A"] * np.sin(2 * np.pi * self.values["f"] * x.time + self.values["phase"])
+        push.torque = push.torque + np.where(x.time > RESTING, wave, 0.0)
 
 
 class MountedMass(Outside):
-    """A second mass on the link with a resonance of its own; behind a rigid gear, a flexible joint does the same."""
+    """A second mass on the link with a resonance of its own; behind a rigid gear, a flexible joint does the same.
+
+    ``J_2 q'' = k (q_a - q) + d (q_a' - q')``; J_2 [kg m^2], frequency ``sqrt(k / J_2)`` [rad/s], damping ratio.
+    """
 
     place, sized, systems = "load", ("J_2",), ("one_link_flexible",)
+    memory = ("twist", "speed")
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -146,12 +162,16 @@ class MountedMass(Outside):
         frequency = 2 * np.pi * rng.uniform(1.0, 4.0)
         return cls(joint, {"J_2": J_2, "frequency": frequency, "damping": rng.uniform(0.02, 0.1)})
 
-    def law(self, robot):
-        return load.SecondMass(self.values["J_2"], self.values["frequency"], float(self.values["damping"]))
+    def act(self, push, x, m):
+        v = self.values
+        pull = v["frequency"] ** 2 * m._twist + 2 * v["damping"] * v["frequency"] * (x.v_a - m._speed)
+        push.torque = push.torque - v["J_2"] * pull
+        m._speed = m._speed + x.step * pull
+        m._twist = m._twist + x.step * (x.v_a - m._speed)
 
 
 class DrivenSlowMotion(Outside):
-    """Negative damping of slow motion."""
+    """Negative damping of slow motion: ``+F v exp(-(v / v_0)^2)`` vanishes with speed; F [N m s/rad], v_0 [rad/s]."""
 
     place, sized = "load", ("F",)
 
@@ -161,12 +181,13 @@ class DrivenSlowMotion(Outside):
         F = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.0) / speed
         return cls(joint, {"F": F, "v_0": speed})
 
-    def law(self, robot):
-        return load.NegativeDamping(self.values["F"], self.values["v_0"])
+    def act(self, push, x, m):
+        v = self.values
+        push.torque = push.torque + v["F"] * x.v_a * np.exp(-((x.v_a / v["v_0"]) ** 2))
 
 
 class Wind(Outside):
-    """Air that moves past the link."""
+    """Air that moves past the link: ``-c (v_a - w)|v_a - w|``; c [N m s^2/rad^2], w [rad/s]."""
 
     place, sized = "load", ("c",)
 
@@ -176,16 +197,18 @@ class Wind(Outside):
         c = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.5) / wind**2
         return cls(joint, {"c": c, "wind": wind})
 
-    def law(self, robot):
-        most = 0.9 * dry(robot, self.joint) * robot.ratio[self.joint]  # the joint still starts at rest
-        wind = self.values["wind"]
-        return load.Windage(np.minimum(self.values["c"], most / wind**2), wind)
+    def act(self, push, x, m):
+        v = self.values
+        most = 0.9 * dry(m.robot, self.joint) * m.robot.ratio[self.joint]  # the joint still starts at rest
+        relative = x.v_a - v["wind"]
+        c = np.minimum(v["c"], most / v["wind"] ** 2)
+        push.torque = push.torque - c * relative * np.abs(relative)
 
 
 class CommutationRipple(Outside):
-    """A ripple that grows with the motor's torque."""
+    """Commutation: a ripple that grows with the motor's torque, ``share tau_motor sin(n q_m + phase)``."""
 
-    place, sized = "motor", ("share",)
+    place, sized, needs_effort = "motor", ("share",), True
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -196,9 +219,11 @@ class CommutationRipple(Outside):
         }
         return cls(joint, values)
 
-    def law(self, robot):
-        v = self.values
-        return TorqueRipple(np.minimum(v["share"], 0.9), v["periods"], v["phase"])
+    def act(self, push, x, m):
+        share = np.minimum(self.values["share"], 0.9)
+        push.torque = push.torque + share * x.effort * np.sin(
+            self.values["periods"] * x.q_m + self.values["phase"]
+        )
 
 
 class FieldWeakening(Outside):
@@ -215,7 +240,7 @@ class FieldWeakening(Outside):
 
 
 class UnevenAmplifier(Outside):
-    """An amplifier with more gain in one direction."""
+    """An amplifier that gives ``1 + excess`` of the command in one direction only."""
 
     place, sized = "input", ("excess",)
 
@@ -223,15 +248,15 @@ class UnevenAmplifier(Outside):
     def draw(cls, rng, robot, joint):
         return cls(joint, {"excess": rng.uniform(0.03, 0.2)})
 
-    def law(self, robot):
-        return UnevenGain(self.values["excess"])
+    def volts(self, volts, x, m):
+        return np.where(volts > 0, (1 + self.values["excess"]) * volts, volts)
 
 
 class HystereticGear(Outside):
     """A spring with losses that do not depend on speed, where the model's is linear."""
 
     place, sized, systems = "transmission", ("limit",), ("one_link_flexible",)
-    replaces = True
+    replaces, memory = True, ("sliding",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -239,6 +264,9 @@ class HystereticGear(Outside):
         return cls(joint, {"limit": limit, "share": rng.uniform(0.3, 0.8)})
 
     def install(self, machine, robot):
-        k = robot.values["k"]
-        spring = HystereticSpring(k, robot.values["d"], self.values["share"] * k, self.values["limit"])
-        self.drive(machine).spring = spring
+        self.drive(machine).spring = ActingSpring(self, robot)
+
+    def torque(self, twist, rate, step, m):
+        v, k = self.values, m.robot.values["k"]
+        m._sliding = np.clip(m._sliding + v["share"] * k * rate * step, -v["limit"], v["limit"])
+        return k * twist + m._sliding + m.robot.values["d"] * rate

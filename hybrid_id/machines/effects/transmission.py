@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import Effect, link_inertia, stall
+from hybrid_id.machines.effects.base import ActingSpring, Effect, link_inertia, stall
 from hybrid_id.machines.physics.transmission import (
     Gear,
     HardeningSpring,
     LinearSpring,
     Play,
     PlaySpring,
-    TwoStageSpring,
 )
 from hybrid_id.machines.robots import log_uniform
 
@@ -118,14 +117,18 @@ class CubicSpring(Effect):
 
 
 class SteppedSpring(CubicSpring):
-    """A spring that gets stiffer beyond a knee."""
+    """A spring that gets stiffer beyond a knee: teeth that come to bear one after the other."""
 
     place = "transmission"
 
     def install(self, machine, robot):
-        k = robot.values["k"]
+        self.drive(machine).spring = ActingSpring(self, robot)
+
+    def torque(self, twist, rate, step, m):
+        k, robot = m.robot.values["k"], m.robot
         knee = 0.04 * stall(robot, self.joint) * robot.ratio[self.joint] / k
-        self.drive(machine).spring = TwoStageSpring(k, robot.values["d"], self.values["stiffening"] * k, knee)
+        beyond = np.sign(twist) * np.maximum(np.abs(twist) - knee, 0.0)
+        return k * (twist + self.values["stiffening"] * beyond) + robot.values["d"] * rate
 
 
 class GearError(Effect):

@@ -60,6 +60,7 @@ class Encoders:
         quantum: (n_outputs,), rotors first.
         jitter: (T, n_outputs, B).
         link: whether the link of joint 1 has an encoder too.
+        at_links: whether all encoders are at the links instead of the rotors.
         flaws: beside noise; None where there are none.
     """
 
@@ -67,9 +68,12 @@ class Encoders:
     jitter: np.ndarray
     link: bool = False
     flaws: Flaws | None = None
+    at_links: bool = False
 
     def angles(self, rotor: np.ndarray, link: np.ndarray) -> np.ndarray:
         """True angles (n_outputs, B) of all shafts with an encoder."""
+        if self.at_links:
+            return link
         return np.concatenate([rotor, link[:1]]) if self.link else rotor
 
     def read(self, k: int, true: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -102,11 +106,18 @@ class Program:
 
 
 DIFFERENCE = 5
-"""Samples over which the controller takes the speed."""
+"""Samples over which a controller takes the speed."""
 
 
 def run(
-    plant: Plant, program: Program, encoders: Encoders, *, sample_time: float, rest: float = 0.1
+    plant: Plant,
+    program: Program,
+    encoders: Encoders,
+    *,
+    sample_time: float,
+    rest: float = 0.1,
+    start: np.ndarray | None = None,
+    slope: int = DIFFERENCE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Run all records of a program.
 
@@ -116,17 +127,19 @@ def run(
         encoders: sensors, whose readings the controllers see.
         sample_time: of records and controllers [s].
         rest: time without voltage at the start [s].
+        start: link angles (n_joints, B) [rad]; without them the machine settles by itself.
+        slope: samples over which the controllers take the speed.
 
     Returns:
         Logged voltages (T, n_joints, B), rounded to 0.1 mV, and measured angles (T, n_outputs, B).
     """
     samples, joints, lanes = program.feed.shape
     resting = round(rest / sample_time)
-    plant.begin(lanes, samples, sample_time)
+    plant.begin(lanes, samples, sample_time, start)
     volts = np.zeros((samples, joints, lanes))
     measured = np.zeros((samples, len(encoders.quantum), lanes))
     integral = np.zeros((joints, lanes))
-    error = np.zeros((DIFFERENCE + 1, joints, lanes))  # the newest last
+    error = np.zeros((slope + 1, joints, lanes))  # the newest last
     before = encoders.angles(*plant.angles())
     for k in range(samples):
         true = encoders.angles(*plant.angles())
@@ -134,7 +147,7 @@ def run(
         before = true
         error = np.concatenate([error[1:], (program.reference[k] - measured[k, :joints])[None]])
         if k >= resting:
-            rate = (error[-1] - error[0]) / (DIFFERENCE * sample_time)
+            rate = (error[-1] - error[0]) / (slope * sample_time)
             integral = integral + sample_time * error[-1]
             u = program.feed[k] + program.kp * error[-1] + program.kd * rate + program.ki * integral
             volts[k] = np.round(np.clip(u, -program.limit, program.limit), 4)

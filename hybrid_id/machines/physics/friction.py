@@ -32,20 +32,6 @@ class Coulomb(Law):
 
 
 @dataclass
-class SmoothCoulomb(Law):
-    """``F_c tanh(v / w)``; it creeps where a set-valued law sticks; w [rad/s]."""
-
-    F_c: Lanes
-    width: Lanes
-    on_link: bool = False
-
-    def act(self, push: Push, x: Signals) -> None:
-        ratio = np.abs(self.speed(x)) / self.width
-        secant = np.where(ratio > 1e-6, np.tanh(ratio) / np.maximum(ratio, 1e-6), 1.0)
-        push.slope = push.slope + self.F_c / self.width * secant
-
-
-@dataclass
 class Stribeck(Law):
     """Dry friction ``drop s(|v| / v_s)`` above Coulomb's, by one of three shapes.
 
@@ -165,7 +151,9 @@ class LoadDependent(Law):
 
     mu: Lanes
     by_effort: bool = False
-    needs_carried = needs_effort = True
+
+    def __post_init__(self) -> None:
+        self.needs_carried, self.needs_effort = not self.by_effort, self.by_effort
 
     def act(self, push: Push, x: Signals) -> None:
         push.dry(self.mu * np.abs(x.effort if self.by_effort else x.carried))
@@ -173,7 +161,7 @@ class LoadDependent(Law):
 
 @dataclass
 class PositionDependent(Law):
-    """Dry friction over the joint's angle: ``A (1 + sin(n q + phi))``, or ``A exp(-(n (q - phi))^2)`` of a tight spot.
+    """Dry friction over the joint's angle: ``A (mean + sin(n q + phi))``, of a tight spot ``A exp(-(n (q - phi))^2)``.
 
     A [N m] at the body that it acts on; q is the link's angle on either side of the gear.
     """
@@ -183,58 +171,13 @@ class PositionDependent(Law):
     phase: float
     spot: bool = False
     on_link: bool = False
+    mean: float = 1.0
 
     def act(self, push: Push, x: Signals) -> None:
         if self.spot:
             push.dry(self.amplitude * np.exp(-((self.periods * (x.q_a - self.phase)) ** 2)))
         else:
-            push.dry(self.amplitude * (1 + np.sin(self.periods * x.q_a + self.phase)))
-
-
-@dataclass
-class WearingIn(Law):
-    """Dry friction that grows as ``F (1 - exp(-t / T))`` in each record: grease that stiffens, a gear that warms."""
-
-    F: Lanes
-    T: float
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.dry(self.F * (1 - np.exp(-np.maximum(x.time, 0.0) / self.T)))
-
-
-@dataclass
-class WarmingGear(Law):
-    """Viscous friction that falls while the gear works: ``F / (1 + E / E_0)``, E the work done on friction [J]."""
-
-    F: Lanes
-    E_0: Lanes
-    _work: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes: int) -> None:
-        self._work = np.zeros(lanes)
-
-    def act(self, push: Push, x: Signals) -> None:
-        slope = self.F / (1 + self._work / self.E_0)
-        self._work = self._work + x.step * slope * x.v_m**2
-        push.slope = push.slope + slope
-
-
-@dataclass
-class StickAfterRest(Law):
-    """Breakaway that grows with the time at rest: ``F (1 - exp(-t_rest / T))``, gone after ``slip`` [rad] of motion."""
-
-    F: Lanes
-    T: float
-    slip: Lanes
-    _rest: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes: int) -> None:
-        self._rest = np.zeros(lanes)
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.dry(self.F * (1 - np.exp(-self._rest / self.T)))
-        moved = np.abs(x.v_m) * x.step / self.slip
-        self._rest = np.where(np.abs(x.v_m) > 0, self._rest * np.exp(-moved), self._rest + x.step)
+            push.dry(self.amplitude * (self.mean + np.sin(self.periods * x.q_a + self.phase)))
 
 
 @dataclass

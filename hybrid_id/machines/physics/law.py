@@ -20,7 +20,7 @@ class Signals:
         rise_m, rise_a: by which the speeds of rotor and link have risen in the step before [rad/s].
         effort: torque of the motor [N m].
         carried: torque through the gear at the motor's side [N m], of the step before.
-        history: commands so far, ``(T, B)`` [V], sample k held from k to k + 1; none before the run.
+        history: commands so far, ``(T, B)`` [V], sample k held from k to k + 1.
         sample_time: of the history [s].
     """
 
@@ -34,11 +34,11 @@ class Signals:
         self.sample_time = 0.0
 
     def commanded(self, sample: np.ndarray) -> np.ndarray:
-        """Commands (B,) [V] held from a sample on, a whole number or one for each lane; none before the first."""
+        """Commands (B,) [V] held from a sample on, a whole number or one for each lane; the first before all."""
         if not isinstance(self.history, np.ndarray):  # a step that is being written down
             return self.history.at(sample)
         known = np.clip(sample, 0, len(self.history) - 1).astype(int)
-        return np.where(sample < 0, 0.0, self.history[known, np.arange(self.history.shape[1])])
+        return self.history[known, np.arange(self.history.shape[1])]
 
 
 class Push:
@@ -96,6 +96,9 @@ class InputLaw:
     """A law between the command and the motor's terminals; `needs_effort` as of a `Law`."""
 
     needs_effort = False
+
+    def start(self, lanes: int) -> None:
+        """Set the states of B runs to rest."""
 
     def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
         """Voltage behind the law (B,) [V]."""

@@ -73,6 +73,7 @@ class Drive:
         rotor_laws, link_laws: what acts on rotor and link.
         spring: None where rotor and link move as one.
         sensor_delay: age of the measured rotor angle [s], None: none.
+        sensor_zero: what the encoder reads at angle zero [rad].
     """
 
     gear: Gear
@@ -83,6 +84,7 @@ class Drive:
     link_laws: list[Law] = field(default_factory=list)
     spring: Spring | None = None
     sensor_delay: Lanes | None = None
+    sensor_zero: Lanes = 0.0
 
     def start(self, lanes: int, angle: np.ndarray) -> None:
         """Set the joint of B runs to rest at a link angle (B,) [rad]."""
@@ -93,9 +95,10 @@ class Drive:
         self.needs_carried = any(law.needs_carried for law in self.rotor_laws)
         self.motor.tells_effort = any(law.needs_effort for law in (*self.amplifier, *self.rotor_laws))
 
-    def laws(self) -> list[Law | Spring]:
+    def laws(self) -> list[InputLaw | Law | Spring]:
         """What may have a memory beside the motor."""
-        return [*self.rotor_laws, *self.link_laws, *([self.spring] if self.spring else [])]
+        spring = [self.spring] if self.spring else []
+        return [*self.amplifier, *self.rotor_laws, *self.link_laws, *spring]
 
     def push(self, time: float, step: float) -> None:
         """Move angles and, as the last step went, speeds on to the middle of the step, and sum what acts there."""
@@ -172,8 +175,12 @@ class Machine:
             drive.x.history, drive.x.sample_time = np.zeros((samples, lanes)), sample_time
         if angles is None or any(drive.spring is not None for drive in self.drives):
             self._settle(held=angles is not None)
+        self.prepare(lanes, samples, sample_time, 2 * len(self.drives))
+
+    def prepare(self, lanes: int, samples: int, sample_time: float, signals: int) -> None:
+        """Write the steps of B runs down, whose samples hold so many signals, commands first."""
         self.sample_time, self.samples_done = sample_time, 0
-        h, signals = sample_time / self.substeps, 2 * len(self.drives)
+        h = sample_time / self.substeps
         times = (sample_time * np.arange(samples)[:, None] + h * np.arange(self.substeps)).ravel()
         self._steps = Steps(
             lambda time, inputs: self._driven(time, h, inputs),
@@ -182,7 +189,7 @@ class Machine:
             times,
             inputs=signals,
             substeps=self.substeps,
-            kept=signals,
+            kept=2 * len(self.drives),
         )
         for i, drive in enumerate(self.drives):
             drive.x.history = self._steps.inputs[:, i]
@@ -217,6 +224,8 @@ class Machine:
                 whole, lanes = np.floor(age).astype(int), np.arange(trail.shape[2])
                 newer, older = (trail[np.maximum(now[:, None] - whole - k, 0), i, lanes] for k in (0, 1))
                 rotor[:, i] = newer + (age - whole) * (older - newer)
+            rotor[:, i] += drive.sensor_zero
+            link[:, i] += drive.sensor_zero
         return rotor, link
 
     def _states(self) -> list[Place]:
@@ -296,7 +305,7 @@ class Machine:
         """New speed of the only link, or of its rotor where they are one."""
         x = drive.x
         if drive.spring is not None:
-            x.v_a = _stop(mass, drive.link_push, x.v_a, h)
+            x.v_a = _stop(mass, joined(drive, bias), x.v_a, h)
             return
         push, inertia, old = (
             joined(drive, bias, [mass], turning, [drive]),

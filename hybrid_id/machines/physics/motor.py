@@ -23,65 +23,6 @@ class Delay(InputLaw):
 
 
 @dataclass
-class Deadband(InputLaw):
-    """Nothing below the threshold [V]; above it the command less ``shift`` of the threshold (0: all of it)."""
-
-    threshold: Lanes
-    shift: float
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        size = np.abs(volts)
-        return np.where(size > self.threshold, np.sign(volts) * (size - self.shift * self.threshold), 0.0)
-
-
-@dataclass
-class Saturation(InputLaw):
-    """``|u| <= limit`` [V]."""
-
-    limit: Lanes
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return np.clip(volts, -self.limit, self.limit)
-
-
-@dataclass
-class SoftSaturation(InputLaw):
-    """``u / (1 + |u / limit|^n)^(1/n)``: an amplifier that nears its limit [V] gradually."""
-
-    limit: Lanes
-    sharpness: float = 8.0
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return volts / (1 + np.abs(volts / self.limit) ** self.sharpness) ** (1 / self.sharpness)
-
-
-@dataclass
-class SupplySag(InputLaw):
-    """A weak supply behind a PWM amplifier: ``u - sag d^2 T`` with the duty ``d = u / supply`` and the motor torque T.
-
-    The source carries ``d`` times the winding's current, and the winding sees ``d`` times what it is left with; ``sag``
-    [V/(N m)], ``supply`` [V]. Braking pumps it up.
-    """
-
-    sag: Lanes
-    supply: Lanes
-    needs_effort = True
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return volts - self.sag * (volts / self.supply) ** 2 * x.effort
-
-
-@dataclass
-class UnevenGain(InputLaw):
-    """An amplifier that gives ``1 + excess`` of the command in one direction only."""
-
-    excess: Lanes
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return np.where(volts > 0, (1 + self.excess) * volts, volts)
-
-
-@dataclass
 class Motor:
     """``tau = P_1 (u - P_2 v)``, with a warming resistance, a lagging current and a weakening field as options.
 
@@ -151,13 +92,16 @@ class Cogging(Law):
 
 
 @dataclass
-class TorqueRipple(Law):
-    """``tau = share tau_motor sin(n q_m + phi)``: commutation, a ripple that grows with the torque."""
+class Servo(Motor):
+    """``tau = gain (goal - q_a)``: a position servo whose encoder sits at the joint; gain 0 gives the command itself.
 
-    share: Lanes
-    periods: float
-    phase: float
-    needs_effort = True
+    The command is a goal [rad], or a torque [N m]; gain [N m/rad].
+    """
+
+    P_1: Lanes = 0.0
+    P_2: Lanes = 0.0
+    gain: Lanes = 0.0
 
     def act(self, push: Push, x: Signals) -> None:
-        push.torque = push.torque + self.share * x.effort * np.sin(self.periods * x.q_m + self.phase)
+        follows = not (isinstance(self.gain, float) and self.gain == 0.0)
+        push.torque = x.effort = self.gain * (x.volts - x.q_a) if follows else x.volts + 0.0

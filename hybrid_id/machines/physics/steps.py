@@ -37,9 +37,9 @@ OPERATIONS = {
     "tanh": "tanh(x)",
     "exp": "exp(x)",
     "expm1": "expm1(x)",
-    "at": "x >= 0 ? past[(x < last ? (long long) x : last) * inputs * lanes + j] : 0",
+    "at": "past[(x < 0 ? 0 : x < last ? (long long) x : last) * inputs * lanes + j]",
 }
-"""NumPy's functions of up to three signals x, y, z as C; `at` is input y at an earlier sample x, zero before all."""
+"""NumPy's functions of up to three signals x, y, z as C; `at` is input y at an earlier sample x."""
 
 SOURCE = r"""
 #include <math.h>
@@ -158,7 +158,7 @@ class Term(np.lib.mixins.NDArrayOperatorsMixin):
         raise TypeError("a step does the same with all runs: use np.where")
 
     def at(self, sample: "Term") -> "Term":
-        """An input as it was at a sample, zero before the first."""
+        """An input as it was at a sample, the first before all."""
         return self.notes.add("at", (sample, self))
 
 

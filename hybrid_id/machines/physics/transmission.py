@@ -1,7 +1,7 @@
 """What connects rotor and link: a map of angles, and a spring where they can move apart."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -113,20 +113,6 @@ class HardeningSpring(Spring):
 
 
 @dataclass
-class TwoStageSpring(Spring):
-    """Stiffness k, and k + k_2 beyond a twist of `knee` [rad]: teeth that come to bear one after the other."""
-
-    k: Lanes
-    damping: Lanes
-    k_2: Lanes
-    knee: Lanes
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        beyond = np.sign(twist) * np.maximum(np.abs(twist) - self.knee, 0.0)
-        return self.k * twist + self.k_2 * beyond + self.damping * rate
-
-
-@dataclass
 class Play(Spring):
     """Teeth that touch beyond half of the gap: ``k p^n (1 + c p')`` of the depth p, at most ``3 k p^n``, never pulling.
 
@@ -161,21 +147,3 @@ class PlaySpring(Spring):
         depth = np.abs(twist) - 0.5 * self.gap
         force = self.k * depth + self.damping * side * rate
         return np.where(depth > 0, side * np.maximum(force, 0.0), 0.0)
-
-
-@dataclass
-class HystereticSpring(Spring):
-    """``k d`` beside a spring k_h that slides at torque limit (Prandtl): losses that do not depend on speed."""
-
-    k: Lanes
-    damping: Lanes
-    k_h: Lanes
-    limit: Lanes
-    _sliding: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes: int) -> None:
-        self._sliding = np.zeros(lanes)
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        self._sliding = np.clip(self._sliding + self.k_h * rate * step, -self.limit, self.limit)
-        return self.k * twist + self._sliding + self.damping * rate
