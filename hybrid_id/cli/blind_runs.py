@@ -131,7 +131,7 @@ def _make(
 ) -> list[Path]:
     """Make cases in a folder that remembers what it is to hold until they are sealed."""
     from hybrid_id.machines.make import make_cases
-    from hybrid_id.study.fan_out import whole_pool
+    from hybrid_id.study.many import whole_pool
 
     try:
         advice = f"the same command goes on with the cases in {out}, better with fewer --jobs"
@@ -256,7 +256,7 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     from hybrid_id.baselines.run import Settings, read_cases
     from hybrid_id.machines.seal import open_answers
     from hybrid_id.records.files import write_json
-    from hybrid_id.study.fan_out import whole_pool
+    from hybrid_id.study.many import whole_pool
 
     about = _complete(runs / "diagnose")
     tied = tied_cases(runs / "diagnose")
