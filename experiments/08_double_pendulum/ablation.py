@@ -17,8 +17,7 @@ from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.reporting.ablation import ablation_tables
 from hybrid_id.simulation.solvers import OdeEngine
-from hybrid_id.study.ablation import Task, run_cells
-from hybrid_id.study.ablation_plan import ALL, NONE, STATIC, Arm, Cell
+from hybrid_id.study.ablation import ALL, NONE, STATIC, Arm, Cell, Task, run_cell, split_records
 from hybrid_id.study.ablation_result import gather
 
 INPUTS = ("angle", "speed", "direction", "command")
@@ -70,16 +69,13 @@ def main(folder: Path, design: str) -> None:
         hybrid,
         replace(hybrid, reads=ALL),
     ]
+    cells = [Cell(arm, seed, split_records(dataset, seed)) for seed in SEEDS for arm in arms]
     results = []
-    for result in run_cells(task, [Cell(arm, seed) for seed in SEEDS for arm in arms]):
+    for cell in cells:
+        result = run_cell(task, cell)
         results.append(result)
-        print(
-            result.cell.name,
-            result.status,
-            f"{result.error('test'):.4g}",
-            f"{result.seconds:.0f} s",
-            flush=True,
-        )
+        error = result.best.error(cell.split.test)
+        print(f"{cell.name} {error:.4g} {result.seconds:.0f} s", flush=True)
     Console(width=160).print(ablation_tables(gather(results)))
 
 

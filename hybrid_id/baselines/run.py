@@ -16,7 +16,7 @@ from hybrid_id.baselines.methods import bic, diagnosis, stribeck
 from hybrid_id.errors import InputError
 from hybrid_id.reading import LARGEST_RESULT, read_bytes, refuse_outside
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.study.fan_out import Failure, fan_out
+from hybrid_id.study.many import Failure, each
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model
 
@@ -99,7 +99,7 @@ def run_cases(
         jobs: processes of this machine.
         scheduler: address of a Dask cluster, which is taken instead.
     """
-    for number, result in fan_out(run_case, settings, cases, jobs=jobs, scheduler=scheduler):
+    for number, result in each(run_case, settings, cases, jobs=jobs, scheduler=scheduler):
         broken = {"case": cases[number].name, "run": {"method": settings.method, "message": ""}}
         if isinstance(result, Failure):
             result = broken | {"run": broken["run"] | {"message": result.message}}

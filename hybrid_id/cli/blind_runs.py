@@ -66,7 +66,7 @@ def make_sealed(
     from hybrid_id.machines.seal import ANSWERS, is_half_sealed, seal, was_sealed
     from hybrid_id.records.files import write_json
     from hybrid_id.reporting.tables import count
-    from hybrid_id.study.fan_out import whole_pool
+    from hybrid_id.study.many import whole_pool
 
     begun = out / BEGUN
     about: dict[str, Any] = {

@@ -1,7 +1,6 @@
 """`fleet`: robots of one kind, their mean and spread, and which one stands out."""
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,7 +29,6 @@ from hybrid_id.reporting.provenance import program
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.study.fleet import FleetStudy, FleetTask, RobotFit
 
 ROBOTS, RESULT, DATASET = "robots", "fleet.json", "dataset.yaml"
 MOST = 10_000
@@ -82,24 +80,42 @@ def fleet(
     check_window(wish, datasets[0].train)
     remark_validation(sum(len(one.validation) for one in datasets), "fleet")
     use_threads(1)
-    make_folder(home / ROBOTS)
-    with sole_writer(home):
-        from hybrid_id.study.fleet import FleetTask, gather
+    from hybrid_id.cli.pieces import kept_pieces
+    from hybrid_id.reporting.fleet import (
+        fleet_page,
+        fleet_pictures,
+        fleet_result,
+        fleet_tables,
+        write_robots,
+    )
+    from hybrid_id.reporting.page import how_made
+    from hybrid_id.reporting.results import as_json as to_json
+    from hybrid_id.reporting.style import save
+    from hybrid_id.study.fleet import identify_fleet
+    from hybrid_id.systems.model_file import save_model
 
-        fits = _run(FleetTask(system, horizon), datasets, home, jobs, scheduler)
-        study = gather(system, fits)
-        text = _write(home, robots, model, study)
+    kept = make_folder(home / ROBOTS)
+    with sole_writer(home):
+        with kept_pieces(ROBOTS, len(datasets), kept) as done:
+            study = identify_fleet(
+                system, datasets, kept, horizon=horizon, jobs=jobs, scheduler=scheduler, program=program(), done=done
+            )  # fmt: skip
+        text = to_json("fleet", fleet_result(study))
+        with added_results(home, RESULT, ["robots.png", "report.html", "robots.csv", "model.yaml"]) as folder:
+            pictures = fleet_pictures(study)
+            for name, figure in pictures.items():
+                save(figure, folder / f"{name}.png")
+            page = how_made(fleet_page(study, pictures), "fleet", settings={"robots": robots, "model": model})
+            page.write(folder / "report.html")
+            write_robots(folder / "robots.csv", study)
+            save_model(study.fleet_model(), folder / "model.yaml")
+            write_last(folder / RESULT, text)
     if as_json:
         show(text)
     else:
-        from hybrid_id.reporting.fleet import fleet_tables
-
         show(fleet_tables(study))
         show(f"results are in {home}: report.html, {RESULT}, robots.csv, model.yaml, robots.png, {ROBOTS}")
     if study.failed:
-        remark(
-            f"{len(study.failed)} of {len(fits)} robots have no estimate; the same command tries them again"
-        )
         raise typer.Exit(1)
 
 
@@ -113,110 +129,40 @@ def read_fleet(folder: Path) -> "list[Dataset]":
     from hybrid_id.study.fleet import FEWEST
 
     places = sorted(
-        (file.parent for file in folder.glob(f"*/{DATASET}")), key=lambda one: natural_order(one.name)
+        (file.parent for file in folder.glob(f"*/{DATASET}")), key=lambda p: natural_order(p.name)
     )
     if not FEWEST <= len(places) <= MOST:
         raise InputError(
             f"{folder} holds {len(places)} dataset folders (with a {DATASET} each); a fleet has {FEWEST} to {MOST}"
         )
-    found, warned = list["Dataset"](), 0
+    datasets, warned = list["Dataset"](), 0
+    channels: list[list[str]] = []
     with counting("robots read") as bar:
         task = bar.add_task("robots read", total=len(places))
         for place in places:
-            _refuse_name(place)
+            # its results get the name of its folder
+            if has_control(place.name):
+                raise InputError(f"the folder {shown(str(place))} {CONTROL}; rename it")
+            if len(os.fsencode(place.name)) > LONGEST_NAME:
+                raise InputError(
+                    f"the folder {place} has a name of more than {LONGEST_NAME} signs; shorten it"
+                )
             refuse_outside(place, folder, str(place), "put the folder itself there")
             dataset = replace(load_records(place), name=place.name)
             if not dataset.train:
                 raise InputError(f"{place / DATASET} has no train record; give at least one the role 'train'")
-            if found and _channels(dataset) != _channels(found[0]):
+            logged = [[channel.name for channel in side] for side in (dataset.inputs, dataset.outputs)]
+            if logged != (channels := channels or logged):
                 raise InputError(
                     f"{place / DATASET} has other channels than {places[0] / DATASET}; log all robots alike"
                 )
             findings = check_dataset(dataset)
             refuse_errors(findings)
             warned += any(finding.severity == "warning" for finding in findings)
-            found.append(dataset)
+            datasets.append(dataset)
             bar.advance(task)
     if warned:
         remark(
-            f"warning: the records of {warned} of {len(found)} robots have faults; 'hybrid-id check' names them"
+            f"warning: the records of {warned} of {len(datasets)} robots have faults; 'hybrid-id check' names them"
         )
-    return found
-
-
-def _refuse_name(place: Path) -> None:
-    """Raise InputError where a robot's results could not have the name of its folder."""
-    if has_control(place.name):
-        raise InputError(f"the folder {shown(str(place))} {CONTROL}; rename it")
-    if len(os.fsencode(place.name)) > LONGEST_NAME:
-        raise InputError(f"the folder {place} has a name of more than {LONGEST_NAME} signs; shorten it")
-
-
-def _channels(dataset: "Dataset") -> tuple[list[str], list[str]]:
-    return [one.name for one in dataset.inputs], [one.name for one in dataset.outputs]
-
-
-def _run(
-    task: "FleetTask", datasets: "Sequence[Dataset]", home: Path, jobs: int, scheduler: str | None
-) -> "list[RobotFit]":
-    """Fit the robots that no earlier run has kept, keep each as it is done, and return all in their order.
-
-    The first robot's records choose the horizon of all, so that their errors of fit can be compared.
-    """
-    from hybrid_id.study import Horizon
-    from hybrid_id.study.fleet import fit_robots, key_of, load_robot, save_robot
-
-    folder, found = home / ROBOTS, dict[str, "RobotFit"]()
-    try:
-        with counting("robots") as bar:
-            bar_id = bar.add_task("robots", total=len(datasets))
-
-            def fit(those: "Sequence[Dataset]", jobs: int, scheduler: str | None) -> None:
-                keys = {one.name: key_of(task, one, program()) for one in those}
-                kept = {name: one for name, key in keys.items() if (one := load_robot(folder, name, key))}
-                found.update(kept)
-                bar.advance(bar_id, len(kept))
-                left = [one for one in those if one.name not in kept]
-                for robot in fit_robots(task, left, jobs=jobs, scheduler=scheduler):
-                    found[robot.name] = robot
-                    if not robot.message:
-                        save_robot(folder, robot, keys[robot.name])
-                    bar.advance(bar_id)
-                    how = robot.message or f"{len(robot.records)} records, {robot.seconds:.1f} s"
-                    line = f"{len(found)} of {len(datasets)}: {robot.name}, {how}"
-                    bar.console.print(line, markup=False, soft_wrap=True, style="dim")
-
-            rest = list(datasets)
-            while task.horizon is None and rest:
-                fit(rest[:1], 1, scheduler)
-                first = found[rest.pop(0).name]
-                if not first.message:
-                    task = replace(task, horizon=Horizon(*first.horizon))
-            fit(rest, jobs, scheduler)
-    except KeyboardInterrupt:
-        done = sum(not one.message for one in found.values())
-        raise KeyboardInterrupt(
-            f"stopped; {done} of {len(datasets)} robots are kept in {folder}, and the same command goes on"
-        ) from None
-    return [found[one.name] for one in datasets]
-
-
-def _write(home: Path, robots: Path, model: Path, study: "FleetStudy") -> str:
-    """Page, picture, table, model and `fleet.json` into the folder, complete or not at all; returns the last."""
-    from hybrid_id.reporting.fleet import fleet_page, fleet_pictures, fleet_result, write_robots
-    from hybrid_id.reporting.page import how_made
-    from hybrid_id.reporting.results import as_json
-    from hybrid_id.reporting.style import save
-    from hybrid_id.systems.model_file import save_model
-
-    text = as_json("fleet", fleet_result(study))
-    with added_results(home, RESULT, ["robots.png", "report.html", "robots.csv", "model.yaml"]) as folder:
-        pictures = fleet_pictures(study)
-        for name, figure in pictures.items():
-            save(figure, folder / f"{name}.png")
-        page = fleet_page(study, pictures)
-        how_made(page, "fleet", settings={"robots": robots, "model": model}).write(folder / "report.html")
-        write_robots(folder / "robots.csv", study)
-        save_model(study.fleet_model(), folder / "model.yaml")
-        write_last(folder / RESULT, text)
-    return text
+    return datasets

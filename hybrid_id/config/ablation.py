@@ -1,13 +1,43 @@
 """The section of a study file that says what `ablate` compares, and which wishes make no comparison."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from hybrid_id.config.sections import MOST_SEED, Neurons, Positive, Price, Section
 from hybrid_id.parameters import MOST_STATES
 
 MOST_REPEATS = 1000
+Item = TypeVar("Item")
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    """The values as they are; a ValueError where one is there twice."""
+    for k, value in enumerate(values):
+        if value in values[:k]:
+            raise ValueError(f"{value} is given twice; keep one of them")
+    return values
+
+
+def _seeds(value: Any) -> Any:
+    """A number of repeats stands for the first seeds."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    if not 1 <= value <= MOST_REPEATS:
+        raise ValueError(f"give from 1 to {MOST_REPEATS} repeats, or a list of seeds")
+    return list(range(value))
+
+
+Distinct = Annotated[list[Item], Field(min_length=1), AfterValidator(_distinct)]
+Places = Annotated[
+    Distinct[str],
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value, str | list[str]),
+]
+Seeds = Annotated[
+    Distinct[Annotated[int, Field(ge=0, le=MOST_SEED)]],
+    Field(max_length=MOST_REPEATS),
+    BeforeValidator(_seeds, int | list[int]),
+]
 
 
 class Ablation(Section):
@@ -35,65 +65,15 @@ class Ablation(Section):
     residual: list[Literal["none", "static", "memory", "black_box"]] = Field(
         default=["static", "memory", "black_box"]
     )
-    place: list[str | list[str]] | None = Field(default=None, min_length=1)
-    width: list[Neurons] | None = Field(default=None, min_length=1)
-    reads: list[Literal["own", "all"]] = Field(default=["own"], min_length=1)
+    place: Distinct[Places] | None = None
+    width: Distinct[Neurons] | None = None
+    reads: Distinct[Literal["own", "all"]] = Field(default=["own"])
     price: list[Price] | None = Field(default=None, min_length=1)
     physics: list[list[str]] = Field(default=[])
     memory: int = Field(default=2, ge=1, le=MOST_STATES)
     black_box_width: Neurons = 16
-    seeds: int | list[int] = 5
+    seeds: Seeds = Field(default=list(range(5)))
     validation: float = Field(default=0.2, gt=0, lt=1)
     test: float = Field(default=0.2, gt=0, lt=1)
     out_of_range: list[str] = Field(default=[])
     horizon: Positive = 0.2
-
-    @field_validator("seeds", mode="before")
-    @classmethod
-    def _repeats(cls, value: Any) -> Any:
-        """One sentence for all faults, where a union of types has one for each type."""
-        if _whole(value):
-            if not 1 <= value <= MOST_REPEATS:
-                raise ValueError(f"give from 1 to {MOST_REPEATS} repeats, or a list of seeds")
-            return value
-        if not isinstance(value, list) or not value or not all(map(_whole, value)):
-            raise ValueError("give a whole number of repeats, or a list of at least one seed")
-        if min(value) < 0:
-            raise ValueError("seeds are not negative")
-        if max(value) > MOST_SEED:
-            raise ValueError(f"seeds are at most {MOST_SEED}")
-        if len(value) > MOST_REPEATS:
-            raise ValueError(f"give at most {MOST_REPEATS} seeds")
-        return _distinct(value)
-
-    @field_validator("place", mode="before")
-    @classmethod
-    def _places(cls, value: Any) -> Any:
-        if value is None:
-            return None
-        if not isinstance(value, list) or not value:
-            raise ValueError("give a list of at least one place")
-        for place in value:
-            several = place if isinstance(place, list) else [place]
-            if not several or not all(isinstance(name, str) for name in several):
-                raise ValueError("each place is a name, or a list of at least one name")
-            _distinct(several)
-        _distinct([place if isinstance(place, list) else [place] for place in value])
-        return value
-
-    @field_validator("width", "reads")
-    @classmethod
-    def _once(cls, value: list[Any] | None) -> list[Any] | None:
-        return value if value is None else _distinct(value)
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _distinct(values: list[Any]) -> list[Any]:
-    """The values as they are; a ValueError where one is there twice."""
-    for k, value in enumerate(values):
-        if value in values[:k]:
-            raise ValueError(f"{value} is given twice; keep one of them")
-    return values

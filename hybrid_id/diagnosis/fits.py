@@ -46,7 +46,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
-from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first
+from hybrid_id.study.many import leave_ctrl_c_to_the_first
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 

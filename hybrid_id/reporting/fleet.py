@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ def fleet_result(study: FleetStudy) -> dict[str, Any]:
     infos = [study.system.parameter(name) for name in study.names]
     return {
         "robots": [robot.name for robot in study.robots],
-        "failed": {robot.name: robot.message for robot in study.failed},
+        "failed": study.failed,
         "horizon": dict(zip(("kind", "seconds"), study.robots[0].horizon, strict=True)),
         "parameters": {
             info.name: {
@@ -81,25 +80,16 @@ def verdict(study: FleetStudy) -> list[str]:
     of, n = study.fleet, len(study.robots)
     odd = [robot.name for robot, out in zip(study.robots, of.stands_out, strict=True) if out]
     records = sum(len(robot.records) for robot in study.robots)
-    seen = f"{count(n, 'robot')}, {count(records, 'record')}"
     names = ", ".join(odd[:8]) + (f" and {len(odd) - 8} more" if len(odd) > 8 else "")
-    words = [
-        f"{seen}: {names} {'stands' if len(odd) == 1 else 'stand'} out."
-        if odd
-        else f"{seen}: none stands out."
-    ]
-    if of.held.any():
-        held = ", ".join(np.array(study.names)[of.held])
+    outcome = f"{names} {'stands' if len(odd) == 1 else 'stand'} out" if odd else "none stands out"
+    words = [f"{count(n, 'robot')}, {count(records, 'record')}: {outcome}."]
+    if held := [name for name, of_prior in zip(study.names, of.held, strict=True) if of_prior]:
         words.append(
-            f"Held by their priors, and so taken as the same in all robots: {held}. A robot in which they differ shows "
-            "it in the other parameters."
+            f"Held by their priors, and so taken as the same in all robots: {', '.join(held)}. A robot in which they "
+            "differ shows it in the other parameters."
         )
-    dark = [
-        n
-        for n, known, held in zip(study.names, np.isfinite(of.mean_error), of.held, strict=True)
-        if not known | held
-    ]
-    if dark:
+    unknown = ~np.isfinite(of.mean_error) & ~of.held
+    if dark := [name for name, out in zip(study.names, unknown, strict=True) if out]:
         words.append(f"Not identifiable by these records: {', '.join(dark)}.")
     if unfinished := sum(len(robot.unfinished) for robot in study.robots):
         words.append(f"{count(unfinished, 'fit')} of {records} did not converge.")
@@ -133,10 +123,9 @@ def fleet_tables(study: FleetStudy) -> RenderableType:
     """The outcome, the fleet's parameters, and who stands out."""
     first, *others = verdict(study)
     style = "yellow" if study.fleet.stands_out.any() else "green"
-    parts: list[RenderableType] = [Text(first, style=style), *map(Text, others), fleet_table(study)]
-    if study.fleet.stands_out.any():
-        parts.append(odd_table(study))
-    return Group(*parts, *(Text(f"{robot.name}: {robot.message}", style="red") for robot in study.failed))
+    odd = [odd_table(study)] if study.fleet.stands_out.any() else []
+    parts = [Text(first, style=style), *map(Text, others), fleet_table(study), *odd]
+    return Group(*parts, *(Text(f"{name}: {reason}", style="red") for name, reason in study.failed.items()))
 
 
 def fleet_table(study: FleetStudy) -> Table:
@@ -204,9 +193,7 @@ def fleet_page(study: FleetStudy, pictures: dict[str, np.ndarray]) -> Page:
         "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
     )
     if study.failed:
-        page.section("Robots without an estimate").add(
-            table(("robot", "reason"), [(robot.name, robot.message) for robot in study.failed])
-        )
+        page.section("Robots without an estimate").add(table(("robot", "reason"), list(study.failed.items())))
     return page
 
 
@@ -218,33 +205,22 @@ def fleet_pictures(study: FleetStudy) -> dict[str, np.ndarray]:
 @journal()
 def robots_figure(study: FleetStudy) -> Figure:
     """Each parameter of each robot, in the order of their names, with the band of the fleet, and the errors of fit."""
-    of = study.fleet
+    of, numbers = study.fleet, np.arange(1, len(study.robots) + 1)
     known = [k for k in range(len(study.names)) if np.isfinite(of.mean_error[k])]
     figure = new_figure(1.15 * (len(known) + 1) + 0.4)
     panels = np.atleast_1d(figure.subplots(len(known) + 1, 1, sharex=True))
+    columns = [(np.where(np.isfinite(of.own_error[:, k]), of.own[:, k], np.nan), of.odd[:, k]) for k in known]
+    for axes, (values, odd) in zip(panels, [*columns, (of.misfit, of.odd_fit)], strict=True):
+        axes.plot(numbers[~odd], values[~odd], "o", ms=2.5, color=COLOURS[0])
+        axes.plot(numbers[odd], values[odd], "D", ms=4.5, color=COLOURS[1])
+        for i in np.flatnonzero(odd):
+            at = {"xytext": (4, 2), "textcoords": "offset points", "fontsize": 7}
+            axes.annotate(study.robots[i].name, (numbers[i], values[i]), **at)
     for axes, k in zip(panels, known, strict=False):
-        seen, reach = np.isfinite(of.own_error[:, k]), 1.96 * of.spread[k]
-        info = study.system.parameter(study.names[k])
+        reach, info = 1.96 * of.spread[k], study.system.parameter(study.names[k])
         axes.axhspan(of.mean[k] - reach, of.mean[k] + reach, color=GREY, alpha=0.2, lw=0)
         axes.axhline(of.mean[k], color=GREY, lw=0.8)
-        _points(axes, study, np.where(seen, of.own[:, k], np.nan), of.odd[:, k])
         axes.set_ylabel(label(info.name, info.unit))
     panels[-1].axhline(1.0, color=GREY, lw=0.8)
-    _points(panels[-1], study, of.misfit, of.odd_fit)
     panels[-1].set(ylabel="error of fit", xlabel="robot")
     return figure
-
-
-def _points(axes: Any, study: FleetStudy, values: np.ndarray, odd: Sequence[bool] | np.ndarray) -> None:
-    numbers, odd = np.arange(1, len(values) + 1), np.asarray(odd, bool)
-    axes.plot(numbers[~odd], values[~odd], "o", ms=2.5, color=COLOURS[0])
-    if odd.any():
-        axes.plot(numbers[odd], values[odd], "D", ms=4.5, color=COLOURS[1])
-    for i in np.flatnonzero(odd):
-        axes.annotate(
-            study.robots[i].name,
-            (numbers[i], values[i]),
-            xytext=(4, 2),
-            textcoords="offset points",
-            fontsize=7,
-        )

@@ -154,7 +154,9 @@ def write_cell_events(folder: Path, result: CellResult) -> None:
         "seed": result.cell.seed,
     }
     sets = {"test": "test", "out_of_range": "beyond", "validation": "validation", "train": "train"}
-    metrics = {name: result.error(records) for name, records in sets.items()}  # the first few are shown
+    metrics = {
+        name: best.error(getattr(result.cell.split, of)) for name, of in sets.items()
+    }  # the first few are shown
     metrics |= {"share": best.share, "overlap": best.overlap, "price": best.price, "seconds": result.seconds}
     finite = {f"final/{name}": value for name, value in metrics.items() if math.isfinite(value)}
     folder.mkdir(exist_ok=True)

@@ -14,7 +14,7 @@ say of the others is relative to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -114,152 +114,100 @@ def fleet(
         raise InputError(
             f"{len(values)} robots are no fleet; give at least {FEWEST}, for their spread is sought"
         )
-    theta, hessian, spread = (
-        np.concatenate([np.asarray(one, float) for one in each]) for each in (values, hessians, covariances)
+    theta, hessian, covariance = (
+        np.concatenate([np.asarray(of_robot, float) for of_robot in each])
+        for each in (values, hessians, covariances)
     )
-    shares = [prior_precision * np.diag(scaled_inverse(one + np.diag(prior_precision))[0]) for one in hessian]
+    shares = [prior_precision * np.diag(scaled_inverse(h + np.diag(prior_precision))[0]) for h in hessian]
     held = np.median(shares, axis=0) > HELD
     free = ~held
     if prior_mean is not None:
-        theta, spread = _unpulled(theta, hessian, spread, free, prior_precision, prior_mean)
+        # H (theta - theta_0) + P (theta - m) = 0 gives the estimates theta_0 without their priors' pull
+        at = np.ix_(free, free)
+        for k in range(len(theta) if prior_precision[free].any() else 0):
+            pull = np.zeros_like(hessian[k])
+            pull[at] = scaled_inverse(hessian[k][at])[0] * prior_precision[free]
+            theta[k] += pull @ (theta[k] - prior_mean)
+            back = np.eye(len(pull)) + pull
+            covariance[k] = back @ covariance[k] @ back.T
         prior_precision = np.where(held, prior_precision, 0.0)
     typical, largest = np.median(np.abs(theta), axis=0), np.abs(theta).max(0)
     size = np.where(typical > 0.0, typical, np.where(largest > 0.0, largest, 1.0))
-    information = [
-        _information(one + np.diag(prior_precision), around, free)
-        for one, around in zip(hessian, spread, strict=True)
-    ]
+    precisions = hessian + np.diag(prior_precision)
+    information = [_information(h, c, free) for h, c in zip(precisions, covariance, strict=True)]
     levels = _Levels(
         (theta / size)[:, free],
         np.array(information) * np.outer(size[free], size[free]),
-        np.array([len(one) for one in values]),
+        np.array([len(of_robot) for of_robot in values]),
     )
-    odd_fit, relative = _odd_fits(np.asarray(misfit, float))
-    variances, state, deviation, improbable, kept = _separated(levels, odd_fit)
-    own = np.array([np.mean(one, 0) for one in values])
+    relative = misfit / np.median(misfit)
+    logs = np.log(np.maximum(relative, 1e-12))
+    scale = max(1.4826 * float(np.median(np.abs(logs))), 1e-12)
+    odd_fit = (stdtr(len(logs) - 1, -logs / scale) * len(logs) < LEVEL) & (relative > WORSE)
+    # robots that stand out are set aside, until those that are kept call the same ones odd again
+    kept, seen = ~odd_fit & ~levels.far(), list[np.ndarray]()
+    for enough in (~odd_fit, np.ones_like(odd_fit)):
+        kept = kept if kept.sum() >= FEWEST else enough
+    while True:
+        variances = levels.fit(kept)
+        state = levels.state(*variances, kept)
+        seen.append(kept)
+        others = ~odd_fit & ~state.improbable.any(1)
+        if others.sum() < FEWEST or any((others == mask).all() for mask in seen) or len(seen) == ROUNDS:
+            break
+        kept = others
+    own = np.array([np.mean(of_robot, 0) for of_robot in values])
     known = np.where(state.determined, 1.0, np.nan)
     reach = float(stdtrit(kept.sum() - 1, 0.975)) * state.mean_error * known
-    between, within = (
-        np.sqrt(np.where(one > 10.0 * _NONE**2, one, 0.0)) for one in (variances.robots, variances.records)
-    )
+    between, within = (np.sqrt(np.where(v > 10.0 * _NONE**2, v, 0.0)) for v in variances)
 
-    def among_all(found: np.ndarray, otherwise: float | np.ndarray) -> np.ndarray:
-        """What was found of the free parameters, the last axis, among all of them."""
-        every = np.broadcast_to(np.asarray(otherwise, found.dtype), (*found.shape[:-1], len(size))).copy()
-        every[..., free] = found
-        return every
-
-    def whole(found: np.ndarray, otherwise: float | np.ndarray = np.nan) -> np.ndarray:
-        """The same in the parameters' units."""
-        return among_all(found * size[free], otherwise)
+    def whole(
+        of_free: np.ndarray, otherwise: float | np.ndarray = np.nan, unit: np.ndarray = size
+    ) -> np.ndarray:
+        """What was found of the free parameters, the last axis, among all of them, in their units."""
+        of_all = np.broadcast_to(
+            np.asarray(otherwise, of_free.dtype), (*of_free.shape[:-1], len(size))
+        ).copy()
+        of_all[..., free] = of_free * unit[free]
+        return of_all
 
     return Fleet(
         mean=whole(state.mean * known, own[kept].mean(0)),
         mean_error=whole(state.mean_error * known),
         mean_interval=whole(np.array([-reach, reach]) + state.mean).T,
         spread=whole(between * known),
-        spread_interval=whole(levels.spread_intervals(variances, kept).T * known).T,
+        spread_interval=whole(levels.spread_intervals(*variances, kept).T * known).T,
         record_spread=whole(within * known if levels.repeated else np.full(free.sum(), np.nan)),
         own=whole(state.own, own),
         own_error=whole(state.own_error),
         values=whole(state.values, own),
         errors=whole(state.errors),
-        deviation=among_all(deviation, 0.0),
-        odd=among_all(improbable, False),
+        deviation=whole(state.deviation, 0.0, np.ones_like(size)),
+        odd=whole(state.improbable, False, np.ones_like(free)),
         odd_fit=odd_fit,
         misfit=relative,
         held=held,
     )
 
 
-def _unpulled(
-    theta: np.ndarray,
-    hessian: np.ndarray,
-    covariance: np.ndarray,
-    free: np.ndarray,
-    precision: np.ndarray,
-    mean: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Estimates (R, p) without their priors' pull, and their covariances (R, p, p).
-
-    ``H (theta - theta_0) + P (theta - m) = 0`` gives theirs from the estimates with a prior, where H is not singular.
-
-    Args:
-        theta: estimates with priors.
-        hessian: H, without.
-        covariance: of theta.
-        free: parameters that no prior holds (p,); the others stay as they are.
-        precision: P (p,).
-        mean: m (p,).
-    """
-    at = np.ix_(free, free)
-    theta, covariance = theta.copy(), covariance.copy()
-    for k in range(len(theta) if precision[free].any() else 0):
-        pull = np.zeros_like(hessian[k])
-        pull[at] = scaled_inverse(hessian[k][at])[0] * precision[free]
-        theta[k] += pull @ (theta[k] - mean)
-        back = np.eye(len(pull)) + pull
-        covariance[k] = back @ covariance[k] @ back.T
-    return theta, covariance
-
-
 def _information(hessian: np.ndarray, covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Inverse covariance of the free parameters, zero in directions that neither records nor priors identify."""
-    scale, _, vectors, kept = scaled_eigen(hessian)
-    unknown = vectors[free][:, ~kept]
+    scale, _, vectors, identified = scaled_eigen(hessian)
+    unknown = vectors[free][:, ~identified]
     axes = (
         np.linalg.qr(unknown, mode="complete")[0][:, unknown.shape[1] :]
         if unknown.size
         else np.eye(free.sum())
     )
-    spread = (covariance * np.outer(scale, scale))[np.ix_(free, free)]
-    return (
-        axes
-        @ np.linalg.pinv(axes.T @ spread @ axes, hermitian=True)
-        @ axes.T
-        * np.outer(scale[free], scale[free])
-    )
-
-
-def _separated(
-    levels: _Levels, odd_fit: np.ndarray
-) -> tuple[_Variances, _State, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and spread of the robots that do not stand out, every robot's deviation from them, and who they are."""
-    kept = ~odd_fit & ~_far(levels)
-    for enough in (~odd_fit, np.ones_like(odd_fit)):
-        kept = kept if kept.sum() >= FEWEST else enough
-    seen: list[np.ndarray] = []
-    while True:
-        variances = levels.fit(kept)
-        state = levels.state(variances, kept)
-        deviation, improbable = _deviations(state, kept)
-        seen.append(kept)
-        others = ~odd_fit & ~improbable.any(1)
-        if others.sum() < FEWEST or any((others == one).all() for one in seen) or len(seen) == ROUNDS:
-            return variances, state, deviation, improbable, kept
-        kept = others
-
-
-@dataclass(frozen=True, eq=False)
-class _Variances:
-    """Of each parameter between robots and between records of one robot, (p,) each, in units of its size squared."""
-
-    robots: np.ndarray
-    records: np.ndarray
+    scaled = (covariance * np.outer(scale, scale))[np.ix_(free, free)]
+    inverse = axes @ np.linalg.pinv(axes.T @ scaled @ axes, hermitian=True) @ axes.T
+    return inverse * np.outer(scale[free], scale[free])
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """What follows from variances: the mean with its covariance, and each robot.
+    """What follows from variances, in units of the parameters' sizes: the mean, and each robot; see :class:`Fleet`."""
 
-    `precisions` (n, p, p) is what each robot says of the mean, and `known` (n, p) that times its estimate; `precision`
-    sums those of the robots that are kept.
-    """
-
-    variances: _Variances
-    precisions: np.ndarray
-    known: np.ndarray
-    precision: np.ndarray
     mean: np.ndarray
     mean_error: np.ndarray
     determined: np.ndarray
@@ -267,11 +215,16 @@ class _State:
     own_error: np.ndarray
     values: np.ndarray
     errors: np.ndarray
+    deviation: np.ndarray
+    improbable: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """Records below robots: estimates (R, p) with information (R, p, p), and how many records each robot has."""
+    """Records below robots: estimates (R, p) with information (R, p, p), and how many records each robot has (n,).
+
+    All in units of the parameters' sizes. t and c are the variances between robots and between records of one (p,).
+    """
 
     theta: np.ndarray
     information: np.ndarray
@@ -291,43 +244,50 @@ class _Levels:
         rows = np.repeat(kept, self.records)
         return _Levels(self.theta[rows], self.information[rows], self.records[kept])
 
-    def start(self) -> _Variances:
-        """Variances to start from: the robust scatter of the robots' own estimates, and that of records around them."""
-        none = np.zeros(self.theta.shape[1])
-        own, error = self.own(none)
-        scatter = np.clip(np.nan_to_num(_around_median(own, error)[1], nan=0.1), 1e-4, 1.0)
-        return _Variances(scatter**2, np.full_like(scatter, 1e-4) if self.repeated else none)
-
-    def own(self, between_records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Estimates of each robot by its own records, and their standard errors (n, p)."""
-        weight, weighted = self.marginal(between_records)
-        found, errors = [], []
-        for one, right in zip(self.by_robot(weight), self.by_robot(weighted), strict=True):
-            inverse, determined = scaled_inverse(one)
-            found.append(inverse @ right)
-            errors.append(np.where(determined, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf))
-        return np.array(found), np.array(errors)
-
-    def marginal(self, between_records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def marginal(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse covariance of each record around its robot (R, p, p), and that times the estimate (R, p)."""
         right = np.concatenate([self.information, self.information @ self.theta[..., None]], -1)
-        both = np.linalg.solve(np.eye(self.theta.shape[1]) + self.information * between_records, right)
+        both = np.linalg.solve(np.eye(self.theta.shape[1]) + self.information * c, right)
         return both[..., :-1], both[..., -1]
 
-    def around_mean(
-        self, weight: np.ndarray, weighted: np.ndarray, between_robots: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Each robot's inverse covariance L (n, p, p), that times its estimate (n, p), and (I + L T)^-1 (n, p, p)."""
-        total = self.by_robot(weight)
-        return total, self.by_robot(weighted), np.linalg.inv(np.eye(total.shape[-1]) + total * between_robots)
+    def own(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates of each robot by its own records, and their standard errors (n, p)."""
+        weight, weighted = self.marginal(c)
+        own, errors = [], []
+        for total, right in zip(self.by_robot(weight), self.by_robot(weighted), strict=True):
+            inverse, determined = scaled_inverse(total)
+            own.append(inverse @ right)
+            errors.append(np.where(determined, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf))
+        return np.array(own), np.array(errors)
 
-    def likelihood(self, variances: _Variances) -> tuple[float, np.ndarray, np.ndarray]:
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Variances to start from: robust scatter of the robots' own estimates, and a little between records."""
+        none = np.zeros(self.theta.shape[1])
+        scatter = np.clip(np.nan_to_num(_around_median(*self.own(none))[1], nan=0.1), 1e-4, 1.0)
+        return scatter**2, np.full_like(scatter, 1e-4) if self.repeated else none
+
+    def far(self) -> np.ndarray:
+        """Robots far from the median in some parameter (n,) bool."""
+        own, error = self.own(self.start()[1])
+        apart, scatter = _around_median(own, error)
+        return (apart > FAR * np.maximum(scatter, error)).any(1)  # nothing is far where nothing is known
+
+    def around_mean(self, t: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Of each robot with the fleet's spread: what it says of the mean.
+
+        Inverse covariance L by its own records (n, p, p), that times its estimate (n, p), (I + L T)^-1 (n, p, p), what
+        it says of the mean, (I + L T)^-1 L (n, p, p), and that times its estimate (n, p).
+        """
+        weight, weighted = self.marginal(c)
+        total, right = self.by_robot(weight), self.by_robot(weighted)
+        back = np.linalg.inv(np.eye(len(t)) + total * t)
+        return total, right, back, back @ total, np.einsum("nij,nj->ni", back, right)
+
+    def likelihood(self, t: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Restricted log-likelihood without its constant, and its derivatives by both variances' logarithms (p,)."""
-        t, c = variances.robots, variances.records
         one = np.eye(len(t))
         weight, weighted = self.marginal(c)
-        total, right, back = self.around_mean(weight, weighted, t)
-        precision, known = back @ total, np.einsum("nij,nj->ni", back, right)
+        total, right, back, precision, known = self.around_mean(t, c)
         covariance, _ = scaled_inverse(precision.sum(0))
         mean = covariance @ known.sum(0)
         pull = known - precision @ mean  # V^-1 times the deviation, summed over a robot's records
@@ -353,73 +313,66 @@ class _Levels:
         )
         return -0.5 * (float(logs) + quadratic), by_robots, by_records
 
-    def fit(self, kept: np.ndarray) -> _Variances:
-        """Variances of largest restricted likelihood."""
-        some = self.select(kept)
-        p, start = self.theta.shape[1], some.start()
-        levels = [np.log(start.robots), np.log(start.records)] if some.repeated else [np.log(start.robots)]
+    def fit(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Variances of largest restricted likelihood, between robots and between records of one (p,) each."""
+        some, start = self.select(kept), self.select(kept).start()
+        many = 2 if some.repeated else 1  # kinds of variances that can be estimated
 
-        def worth(logs: np.ndarray) -> tuple[float, np.ndarray]:
-            found, *slopes = some.likelihood(_of_logs(logs, p))
-            return -found, -np.concatenate(slopes[: len(levels)])
+        def variances(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            both = np.exp(logs).reshape(many, -1)
+            return both[0], both[1] if many == 2 else np.zeros_like(both[0])
 
-        bounds = [(2 * np.log(_NONE), 2 * np.log(_HUGE))] * p * len(levels)
-        end = minimize(worth, np.concatenate(levels), jac=True, method="L-BFGS-B", bounds=bounds)
-        return _of_logs(end.x, p)
+        def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
+            value, *slopes = some.likelihood(*variances(logs))
+            return -value, -np.concatenate(slopes[:many])
 
-    def state(self, variances: _Variances, kept: np.ndarray) -> _State:
-        """Mean of the robots that are kept, and every robot beside it."""
-        t = variances.robots
-        total, right, back = self.around_mean(*self.marginal(variances.records), t)
-        precisions, known = back @ total, np.einsum("nij,nj->ni", back, right)
+        first = np.log(np.concatenate(start[:many]))
+        bounds = [(2 * np.log(_NONE), 2 * np.log(_HUGE))] * len(first)
+        return variances(minimize(cost, first, jac=True, method="L-BFGS-B", bounds=bounds).x)
+
+    def state(self, t: np.ndarray, c: np.ndarray, kept: np.ndarray) -> _State:
+        """Mean of the robots that are kept, every robot beside it, and against the others."""
+        total, right, back, precisions, known = self.around_mean(t, c)
         precision = precisions[kept].sum(0)
         covariance, determined = scaled_inverse(precision)
         mean = covariance @ known[kept].sum(0)
-        own, own_error = self.own(variances.records)
+        own, own_error = self.own(c)
         shrink = t[:, None] * back
         values = mean + np.einsum("nij,nj->ni", shrink, right - total @ mean)
         # errors of the mean move a robot as far as its own records leave it to the fleet
         left = np.eye(len(t)) - shrink @ total
         spreads = shrink + left @ covariance @ np.swapaxes(left, -1, -2)
         errors = np.sqrt(np.maximum(np.einsum("nii->ni", spreads), 0.0))
+        deviation = np.zeros_like(
+            own
+        )  # of each from the others' mean, in standard deviations of what is expected
+        for k, counts in enumerate(kept):
+            rest, certain = scaled_inverse(precision - counts * precisions[k])
+            others = rest @ (precision @ mean - counts * known[k])
+            error = np.sqrt(own_error[k] ** 2 + t + np.diag(rest))
+            deviation[k] = np.where(certain & np.isfinite(error), (own[k] - others) / error, 0.0)
+        tests = len(own) * max(int(determined.sum()), 1)
+        chance = 2.0 * stdtr(max(int(kept.sum()) - 1, 1), -np.abs(deviation)) * tests
         mean_error = np.sqrt(np.diag(covariance))
         return _State(
-            variances, precisions, known, precision, mean, mean_error, determined, own, own_error, values, errors
+            mean, mean_error, determined, own, own_error, values, errors, deviation, chance < LEVEL
         )  # fmt: skip
 
-    def spread_intervals(self, variances: _Variances, kept: np.ndarray) -> np.ndarray:
+    def spread_intervals(self, t: np.ndarray, c: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """95 % interval of each standard deviation between robots (p, 2): where the likelihood falls, all else held."""
-        some, ends = self.select(kept), []
-        top = some.likelihood(variances)[0]
-        for k, value in enumerate(variances.robots):
+        some, ends = self.select(kept), np.zeros((len(t), 2))
+        top = some.likelihood(t, c)[0]
+        for k, value in enumerate(t):
 
             def above(log: float, k: int = k) -> float:
-                t = variances.robots.copy()
-                t[k] = np.exp(log)
-                return some.likelihood(_Variances(t, variances.records))[0] - top + _DROP
+                return some.likelihood(np.where(np.arange(len(t)) == k, np.exp(log), t), c)[0] - top + _DROP
 
             low, at, high = 2 * np.log(_NONE), np.log(value), 2 * np.log(_HUGE)
-            lower = 0.0 if above(low) > 0.0 else _root(above, low, at)
-            upper = np.inf if above(high) > 0.0 else _root(above, at, high)
-            ends.append((lower, upper))
-        return np.array(ends)
-
-
-def _root(above: Callable[[float], float], low: float, high: float) -> float:
-    """The standard deviation whose log variance is the root of a function between two of them."""
-    return math.exp(0.5 * cast(float, brentq(above, low, high, xtol=1e-3)))
-
-
-def _of_logs(logs: np.ndarray, p: int) -> _Variances:
-    return _Variances(np.exp(logs[:p]), np.exp(logs[p:]) if len(logs) > p else np.zeros(p))
-
-
-def _far(levels: _Levels) -> np.ndarray:
-    """Robots far from the median in some parameter (n,) bool."""
-    own, error = levels.own(levels.start().records)
-    apart, scatter = _around_median(own, error)
-    far = apart > FAR * np.maximum(scatter, error)  # nothing is far where nothing is known
-    return np.asarray(far.any(1))
+            for side, (end, beyond) in enumerate(((low, 0.0), (high, np.inf))):
+                inside = above(end) > 0.0
+                root = 0.0 if inside else cast(float, brentq(above, *sorted((end, at)), xtol=1e-3))
+                ends[k, side] = beyond if inside else math.exp(0.5 * root)
+        return ends
 
 
 def _around_median(own: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -430,27 +383,3 @@ def _around_median(own: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.n
             apart[known, k] = np.abs(own[known, k] - np.median(own[known, k]))
             scatter[k] = 1.4826 * np.median(apart[known, k])
     return apart, scatter
-
-
-def _deviations(state: _State, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each robot against the others, in standard deviations of what is expected (n, p); where that is improbable."""
-    n, p = state.own.shape
-    deviation = np.zeros((n, p))
-    for k in range(n):
-        own = kept[k]
-        rest, determined = scaled_inverse(state.precision - own * state.precisions[k])
-        mean = rest @ (state.precision @ state.mean - own * state.known[k])
-        error = np.sqrt(state.own_error[k] ** 2 + state.variances.robots + np.diag(rest))
-        deviation[k] = np.where(determined & np.isfinite(error), (state.own[k] - mean) / error, 0.0)
-    degrees = max(int(kept.sum()) - 1, 1)
-    chance = 2.0 * stdtr(degrees, -np.abs(deviation)) * n * max(int(state.determined.sum()), 1)
-    return deviation, chance < LEVEL
-
-
-def _odd_fits(misfit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Robots whose error of fit is improbably large beside the others' (n,), and all errors over the median."""
-    relative = misfit / np.median(misfit)
-    logs = np.log(np.maximum(relative, 1e-12))
-    scale = max(1.4826 * float(np.median(np.abs(logs))), 1e-12)
-    chance = stdtr(len(logs) - 1, -logs / scale) * len(logs)
-    return (chance < LEVEL) & (relative > WORSE), relative

@@ -1,31 +1,28 @@
-"""Robots of one kind, each fitted by its own records and kept, and what they say together."""
+"""Robots of one kind, each fitted by its own records, and what they say together."""
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import Horizon, Kind
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.files import write_json
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fleet import FEWEST, Fleet, fleet
 from hybrid_id.statistics.uncertainty import autocorrelation_robust
-from hybrid_id.study.fan_out import Failure, fan_out, sealed, unsealed
+from hybrid_id.study.many import each_kept
 from hybrid_id.study.replays import batch_of
 from hybrid_id.study.run import fit_sets
 from hybrid_id.systems.chain import System
-from hybrid_id.systems.model_file import describe_model
 
 NARROW = 1e-4
 """Least standard deviation of a prior that the fleet gives, as a share of the parameter."""
@@ -46,32 +43,17 @@ class RobotFit:
         horizon: kind and length [s] of the free runs.
         unfinished: records whose fit did not converge; those that diverged have no estimate.
         seconds: that it took.
-        message: why there is no estimate; empty where there is one.
     """
 
     name: str
-    records: tuple[str, ...] = ()
-    values: tuple[tuple[float, ...], ...] = ()
-    hessians: tuple[tuple[tuple[float, ...], ...], ...] = ()
-    covariances: tuple[tuple[tuple[float, ...], ...], ...] = ()
-    misfit: float = 0.0
+    records: list[str]
+    values: list[list[float]]
+    hessians: list[list[list[float]]]
+    covariances: list[list[list[float]]]
+    misfit: float
     horizon: tuple[Kind, float] = ("whole", 0.0)
-    unfinished: tuple[str, ...] = ()
+    unfinished: list[str] = field(default_factory=list)
     seconds: float = 0.0
-    message: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class FleetTask:
-    """What the fits of all robots share.
-
-    Attributes:
-        system: model with start values, bounds and priors.
-        horizon: how long the free runs are; None where the first robot's records choose for all.
-    """
-
-    system: System
-    horizon: Horizon | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +63,13 @@ class FleetStudy:
     Attributes:
         system: the model that all started from.
         robots: with estimates, in their order.
-        failed: without.
+        failed: why others have none, by name.
         fleet: mean, spread, and who stands out.
     """
 
     system: System
     robots: tuple[RobotFit, ...]
-    failed: tuple[RobotFit, ...]
+    failed: Mapping[str, str]
     fleet: Fleet
 
     @property
@@ -112,96 +94,112 @@ class FleetStudy:
         return self.system.with_specs(specs)
 
 
-def fit_robot(task: FleetTask, dataset: Dataset) -> RobotFit:
-    """Fit each train record of a robot; arguments in the order of :func:`.fan_out.fan_out`."""
-    start = time.perf_counter()
-    engine = compiled_for(task.system, Engine())
-    batch = batch_of(dataset, task.system, dataset.train)
-    sets, horizon = fit_sets(
-        task.system, engine, batch, task.horizon, pooled=False, options=Options(), starts=1, seed=0, kept=None
+def fit_robot(task: tuple[System, Horizon | None], dataset: Dataset) -> RobotFit:
+    """Fit each train record of a robot.
+
+    Args:
+        task: model with start values, bounds and priors, and how long the free runs are; None where the records choose.
+        dataset: its records.
+    """
+    start, (system, horizon) = time.perf_counter(), task
+    batch, engine = batch_of(dataset, system, dataset.train), compiled_for(system, Engine())
+    fits, horizon = fit_sets(
+        system, engine, batch, horizon, pooled=False, options=Options(), starts=1, seed=0, kept=None
     )
-    used = [one for one in sets if one.status != "diverged"]
+    used = [fit for fit in fits if fit.status != "diverged"]
     if not used:
         raise InputError("every fit diverged; check units, signs and start values")
-    precision = np.diag(used[0].prior_precision)
-    hessians, covariances = [], []
-    for one in used:
-        hessians.append(sum(np.einsum("tyi,tyj->ij", j, j) for j in one.jacobian))
-        found = autocorrelation_robust(*one.of_records(), prior_precision=one.prior_precision)
-        covariances.append(found.matrix - found.inverse_hessian @ precision @ found.inverse_hessian)
-    if not all(np.isfinite(one).all() for one in covariances):
+    precision, covariances = np.diag(used[0].prior_precision), []
+    for fit in used:
+        robust = autocorrelation_robust(*fit.of_records(), prior_precision=fit.prior_precision)
+        covariances.append(robust.matrix - robust.inverse_hessian @ precision @ robust.inverse_hessian)
+    if not np.isfinite(covariances).all():
         raise InputError("the errors of its estimates are not finite; check units and start values")
-    samples = [max(one.n_samples, 1) for one in used]
+    samples = [max(fit.n_samples, 1) for fit in used]
     return RobotFit(
         dataset.name,
-        tuple(one.records[0] for one in used),
-        tuple(tuple(one.values.tolist()) for one in used),
-        tuple(tuple(map(tuple, matrix.tolist())) for matrix in hessians),
-        tuple(tuple(map(tuple, matrix.tolist())) for matrix in covariances),
-        float(np.sqrt(np.average([one.noise_scale**2 for one in used], weights=samples))),
+        [fit.records[0] for fit in used],
+        [fit.values.tolist() for fit in used],
+        [sum(np.einsum("tyi,tyj->ij", j, j) for j in fit.jacobian).tolist() for fit in used],
+        [matrix.tolist() for matrix in covariances],
+        float(np.sqrt(np.average([fit.noise_scale**2 for fit in used], weights=samples))),
         (horizon.kind, horizon.seconds),
-        tuple(one.records[0] for one in sets if not one.ok),
+        [fit.records[0] for fit in fits if not fit.ok],
         time.perf_counter() - start,
     )
 
 
-def fit_robots(
-    task: FleetTask, robots: Sequence[Dataset], *, jobs: int = 1, scheduler: str | None = None
-) -> Iterator[RobotFit]:
-    """Fit robots, each as soon as it is done; one that breaks is a result that says so.
+def identify_fleet(
+    system: System,
+    robots: Sequence[Dataset],
+    folder: Path,
+    *,
+    horizon: Horizon | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    program: str = __version__,
+    done: Callable[..., object] | None = None,
+) -> FleetStudy:
+    """Identify each robot by its own records, keep it in a file of its name, and compare all of them.
 
     Args:
-        task: what they share; its horizon is known.
-        robots: their records.
+        system: model of all, with start values, bounds and priors.
+        robots: records of each, under its name.
+        folder: that keeps them; robots of an earlier run that it holds are not fitted again.
+        horizon: how long the free runs are; None to let the first robot's records choose for all, so that their errors
+            of fit can be compared.
         jobs: processes on this machine.
         scheduler: address of an existing Dask cluster, which is taken instead.
+        program: what computes them, of which others' results are not taken.
+        done: see :func:`hybrid_id.study.many.each_kept`.
 
     Raises:
-        InputError: nobody answers at the address, or Dask is not installed.
+        InputError: fewer than three have estimates, or no cluster answers.
     """
-    for number, result in fan_out(fit_robot, task, robots, jobs=jobs, scheduler=scheduler):
-        yield RobotFit(robots[number].name, message=result.message) if isinstance(result, Failure) else result
+    fits: dict[str, RobotFit] = {}
+    failed: dict[str, str] = {}
+
+    def fit(some: Sequence[Dataset]) -> None:
+        made_from = program, system, None if horizon is None else (horizon.kind, horizon.seconds)
+        new, broken = each_kept(
+            fit_robot, (system, horizon), {robot.name: robot for robot in some}, kind=RobotFit,
+            files=lambda name: folder / f"{name}.json", key=lambda robot: (made_from, robot.digest),
+            jobs=jobs, scheduler=scheduler, done=done,
+        )  # fmt: skip
+        fits.update(new)
+        failed.update(broken)
+
+    left = list(robots)
+    while horizon is None and left:
+        first = left.pop(0)
+        fit([first])
+        if first.name in fits:
+            horizon = Horizon(*fits[first.name].horizon)
+    fit(left)
+    return gather(system, [fits[robot.name] for robot in robots if robot.name in fits], failed)
 
 
-def gather(system: System, robots: Sequence[RobotFit]) -> FleetStudy:
+def gather(
+    system: System, robots: Sequence[RobotFit], failed: Mapping[str, str] = MappingProxyType({})
+) -> FleetStudy:
     """The fleet of robots that have been fitted.
+
+    Args:
+        system: the model that all started from.
+        robots: with estimates.
+        failed: why others have none, by name.
 
     Raises:
         InputError: fewer than three have estimates.
     """
-    fitted = tuple(robot for robot in robots if not robot.message)
-    failed = tuple(robot for robot in robots if robot.message)
-    if failed and len(fitted) < FEWEST:
-        raise InputError(f"{len(failed)} of {len(robots)} robots have no estimate ({failed[0].message})")
+    if failed and len(robots) < FEWEST:
+        reason = next(iter(failed.values()))
+        raise InputError(f"{len(failed)} of {len(robots) + len(failed)} robots have no estimate ({reason})")
     specs = [system.table[k].spec for k in system.estimated]
-    found = fleet(
-        *(
-            [np.array(getattr(robot, what)) for robot in fitted]
-            for what in ("values", "hessians", "covariances")
-        ),
+    summary = fleet(
+        *([np.array(getattr(r, key)) for r in robots] for key in ("values", "hessians", "covariances")),
         prior_precision=np.array([0.0 if spec.prior_std is None else spec.prior_std**-2 for spec in specs]),
-        misfit=np.array([robot.misfit for robot in fitted]),
+        misfit=np.array([robot.misfit for robot in robots]),
         prior_mean=np.array([0.0 if spec.prior_mean is None else spec.prior_mean for spec in specs]),
     )
-    return FleetStudy(system, fitted, failed, found)
-
-
-def key_of(task: FleetTask, dataset: Dataset, program: str = __version__) -> str:
-    """Digest of all that decides a robot's fit: records, model, settings, and the program that computes it."""
-    horizon = None if task.horizon is None else (task.horizon.kind, task.horizon.seconds)
-    model = describe_model(task.system), task.system.tree
-    return hashlib.sha256(repr((program, model, horizon, dataset.digest)).encode()).hexdigest()
-
-
-def save_robot(folder: Path, robot: RobotFit, key: str) -> None:
-    """Keep a robot's fit under its name, whole or not at all."""
-    write_json(folder / f"{robot.name}.json", sealed(asdict(robot), key))
-
-
-def load_robot(folder: Path, name: str, key: str) -> RobotFit | None:
-    """The fit that an earlier run has kept; None where there is none, or one of other records or settings."""
-    try:
-        kept = unsealed(folder / f"{name}.json", key)
-        return None if kept is None else TypeAdapter(RobotFit).validate_python(kept)
-    except ValueError:
-        return None
+    return FleetStudy(system, tuple(robots), failed, summary)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal, NoReturn
 
 import numpy as np
 import torch
+from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import Progress, fit, fit_records, kept_fit
@@ -37,7 +40,7 @@ from hybrid_id.statistics.uncertainty import (
 )
 from hybrid_id.statistics.variation import Variation, mean_interval, prior_variances, variation
 from hybrid_id.study.checks import identifiability_of
-from hybrid_id.study.processes import fit_in_processes
+from hybrid_id.study.many import leave_ctrl_c_to_the_first, whole_pool
 from hybrid_id.study.replays import batch_of, beside_nominal, cross_validate, engine_error, errors_on
 from hybrid_id.study.result import Study
 from hybrid_id.systems.by_joint import with_joint_names
@@ -133,6 +136,7 @@ def fit_sets(
     pooled: bool,
     starts: int,
     kept: Kept | None,
+    numbers: Sequence[int] | None = None,
     **settings: Any,
 ) -> tuple[list[FitResult], Horizon]:
     """All sets of a batch, and the horizon over which they are fitted: the one given, or what the records ask for.
@@ -145,6 +149,7 @@ def fit_sets(
         pooled: one set over all records.
         starts: start points; the best end counts.
         kept: fits that are kept from before.
+        numbers: of the records among all, which draw their start points; default: these are all.
         settings: further arguments of :func:`hybrid_id.identification.fit.fit`.
     """
 
@@ -154,7 +159,9 @@ def fit_sets(
             (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, engine=engine, **settings)
             sets = [confirmed(found, part, kept=kept, **settings)]
         else:
-            sets = fit_records(model, part, starts=starts, kept=kept, engine=engine, **settings)
+            sets = fit_records(
+                model, part, numbers=numbers, starts=starts, kept=kept, engine=engine, **settings
+            )
         return settled(sets, horizon, batch, engine=engine, kept=kept, **settings)
 
     sets = fitted(horizon or WHOLE)
@@ -162,6 +169,79 @@ def fit_sets(
         horizon = choose_horizon(model, engine, batch, sets, options=settings["options"])
         sets = sets if horizon.kind == "whole" else fitted(horizon)
     return sets, horizon
+
+
+def fit_in_processes(
+    dataset: Dataset,
+    system: System,
+    settings: Mapping[str, Any],
+    *,
+    jobs: int,
+    device: str,
+    signal_share: float,
+    horizon: Horizon | None,
+    watch: Callable[[Path | None], None] | None = None,
+) -> tuple[list[FitResult], Horizon]:
+    """Fit each train record of one study, the records shared between processes of this machine.
+
+    Args:
+        dataset: its train records are fitted.
+        system: model with start values.
+        settings: arguments of :func:`fit_sets`: engine, options, starts, seed, kept.
+        jobs: processes.
+        device: torch device.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        horizon: how long the free runs are; None to choose it, see :func:`identify`.
+        watch: gets the file whose existence ends all fits after their iteration, and None when they have ended.
+
+    Returns:
+        The fits in the order of the records, and the horizon that they were fitted over.
+    """
+    records, watch = dataset.train, watch or (lambda _: None)
+    shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
+    with TemporaryDirectory() as folder:
+        stop = Path(folder) / "stop"
+
+        def fitted(over: Horizon) -> list[FitResult]:
+            shared = dataset, system, settings, stop, over, device, signal_share
+            with whole_pool():
+                results: Any = Parallel(jobs)(delayed(fit_share)(share, *shared) for share in shares)
+            by_record = {fit.records[0]: fit for fits in results for fit in fits}
+            return [by_record[record.name] for record in records]
+
+        watch(stop)
+        try:
+            sets = fitted(horizon or WHOLE)
+            if horizon is None:
+                batch = batch_of(dataset, system, records, signal_share, "cpu")
+                horizon = choose_horizon(system, settings["engine"], batch, sets, options=settings["options"])
+                if horizon.kind != "whole":  # stopped before, the sets are those of whole records
+                    sets, horizon = (sets, WHOLE) if stop.exists() else (fitted(horizon), horizon)
+        finally:
+            watch(None)
+    return sets, horizon
+
+
+def fit_share(
+    share: Sequence[int],
+    dataset: Dataset,
+    system: System,
+    settings: Mapping[str, Any],
+    stop: Path,
+    horizon: Horizon,
+    device: str,
+    signal_share: float,
+) -> list[FitResult]:
+    """The share of one process, train records by number; it ends early when the file `stop` is there."""
+    leave_ctrl_c_to_the_first()
+    torch.set_num_threads(1)
+    # all records first: the weight of an output that stands still in one is known from the others
+    batch = batch_of(dataset, system, dataset.train, signal_share, "cpu").take(torch.tensor(share)).to(device)
+    sets, _ = fit_sets(
+        system.to(device), batch=batch, horizon=horizon, pooled=False, numbers=share,
+        progress=lambda *_: stop.exists(), **settings,
+    )  # fmt: skip
+    return sets
 
 
 def analyse_fits(

@@ -15,8 +15,7 @@ from hybrid_id import __version__
 from hybrid_id.config import load_config
 from hybrid_id.paper.twin import read_settings
 from hybrid_id.records.yaml_file import read_yaml
-from hybrid_id.study.ablation import CellResult, Rung, Task
-from hybrid_id.study.ablation_plan import NONE, Cell
+from hybrid_id.study.ablation import NONE, Cell, CellResult, Rung, Task
 from hybrid_id.systems.model_file import describe_model
 
 STUDY = """
@@ -68,11 +67,9 @@ class Cells:
         rungs = [self.rung(task, math.inf, error)]
         if cell.arm.hybrid:
             rungs = [self.rung(task, math.inf, 5.0)] + [self.rung(task, price, error) for price in (1.0, 0.0)]
-        course = {} if cell.arm.residual == NONE else {"loss/train": [(1, 3.0), (2, 1.0)]}
-        return CellResult(
-            cell, split=task.split(cell.seed), rungs=tuple(rungs), chosen=min(1, len(rungs) - 1), gradients=2,
-            seconds=1.0, history=course, model=describe_model(task.model(cell)),
-        )  # fmt: skip
+        history = {} if cell.arm.residual == NONE else {"loss/train": [(1, 3.0), (2, 1.0)]}
+        model = describe_model(task.model(cell.arm, cell.seed))
+        return CellResult(cell, tuple(rungs), min(1, len(rungs) - 1), 2, 1.0, history, model)
 
     @staticmethod
     def rung(task: Task, price: float, error: float) -> Rung:
@@ -107,20 +104,16 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     assert len(list((out / "cells").iterdir())) == ARMS * SEEDS == len(list((out / "tensorboard").iterdir()))
     for kept in (out / "cells").glob("*/cell.json"):
         assert json.loads(kept.read_text())["program"] == f"hybrid_id {__version__}"
-    again = run("ablate", out / "config.yaml", "--out", out, "--json")
-    assert again.code == 0 and json.loads(again.out) == result
-    assert len(cells.seen) == ARMS * SEEDS
-    look_at(out / "report.html", tmp_path, figures=3)
-
-
-def test_tensorboard_gets_settings_and_final_figures(run, study: Path, cells: Cells, tmp_path: Path) -> None:
-    run("ablate", study, "--out", tmp_path / "out")
-    (folder,) = (tmp_path / "out" / "tensorboard").glob("static-*wide-seed-1")
+    (folder,) = (out / "tensorboard").glob("static-*wide-seed-1")
     events = EventAccumulator(str(folder)).Reload()
     assert {"loss/train", "final/test", "final/out_of_range", "final/share"} <= set(events.Tags()["scalars"])
     assert [e.value for e in events.Scalars("loss/train")] == [3.0, 1.0]
     (start,) = (events.summary_metadata["_hparams_/session_start_info"].plugin_data.content,)
     assert b"residual" in start and b"static" in start and b"taken out" in start
+    again = run("ablate", out / "config.yaml", "--out", out, "--json")
+    assert again.code == 0 and json.loads(again.out) == result
+    assert len(cells.seen) == ARMS * SEEDS
+    look_at(out / "report.html", tmp_path, figures=3)
 
 
 def test_a_run_that_is_stopped_goes_on_where_it_was(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
@@ -146,93 +139,31 @@ def test_a_broken_cell_is_told_and_tried_again(run, study: Path, cells: Cells, t
     assert not (out / "cells" / name).exists() and "ValueError: no luck" in shown.out
     cells.again()
     assert run("ablate", study, "--out", out).code == 0 and cells.again() == [name]
-
-
-def test_other_settings_are_other_cells(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run("ablate", plain, "--out", out)
-    cells.again()
-    plain.write_text(plain.read_text().replace("seeds: 3", "seeds: 4"))
-    assert run("ablate", plain, "--out", out).code == 0
-    assert len(cells.again()) == ARMS
-    text = plain.read_text().replace("seeds: 4", "seeds: 4, horizon: 0.1")
-    plain.write_text(text.replace("report: false", "report: true"))
-    assert run("ablate", plain, "--out", out).code == 0
-    assert len(cells.again()) == 4 * ARMS
-
-
-def test_no_fit_of_physics_is_an_error(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
     cells.fault = lambda cell, count: ValueError("no luck") if cell.arm.residual == NONE else None
-    shown = run("ablate", plain, "--out", tmp_path / "out")
-    assert shown.code == 2 and "ValueError: no luck" in shown.err
+    none = run("ablate", study, "--out", tmp_path / "none")
+    assert none.code == 2 and "no fit of physics only" in none.err and "ValueError: no luck" in none.err
 
 
 FAULTS = {
-    "misspelt key": ("seeds: 3", "seed: 3", ("ablation.seed", "'seeds'")),
     "unknown residual": ("[static, black_box]", "[statik]", ("ablation.residual", "statik")),
     "no repeat": ("seeds: 3", "seeds: 0", ("key 'ablation.seeds': give from 1", "found 0")),
-    "no seed": ("seeds: 3", "seeds: []", ("key 'ablation.seeds':", "at least one seed")),
-    "seed too large": (
-        "seeds: 3",
-        "seeds: [1180591620717411303424]",
-        ("'ablation.seeds[0]'", "a number of 22 digits"),
-    ),
-    "negative seed": ("seeds: 3", "seeds: [-1]", ("key 'ablation.seeds': seeds are not negative",)),
+    "negative seed": ("seeds: 3", "seeds: [-1]", ("key 'ablation.seeds[0]'", "equal to 0")),
     "seed twice": ("seeds: 3", "seeds: [0, 0]", ("'ablation.seeds'", "0 is given twice")),
-    "seeds of no number": ("seeds: 3", "seeds: true", ("'ablation.seeds'", "whole number", "True")),
+    "seeds of no number": ("seeds: 3", "seeds: true", ("'ablation.seeds'", "True")),
     "misspelt seeds": ("seeds: 3", "seedz: 3", ("ablation.seedz", "did you mean 'seeds'?")),
-    "too many repeats": ("seeds: 3", "seeds: 100000000000", ("'ablation.seeds'", "from 1 to 1000")),
-    "no place": ("seeds: 3", "place: [[]]", ("key 'ablation.place':", "at least one name")),
-    "place twice in an arm": (
-        "seeds: 3",
-        "place: [[joint1/motor, joint1/motor]]",
-        ("ablation.place", "twice"),
-    ),
+    "no place": ("seeds: 3", "place: [[]]", ("key 'ablation.place[0]'", "at least one")),
     "place twice": ("seeds: 3", "place: [joint1/motor, [joint1/motor]]", ("ablation.place", "twice")),
-    "width twice": ("seeds: 3", "width: [4, 4]", ("ablation.width", "4 is given twice")),
-    "constant input": ("inputs: [speed]", "inputs: [sin 0]", ("'sin 0'", "same at every angle")),
     "device": ("[run_2]}", "[run_2]}\nidentification: {device: gpu}", ("'identification.device'", "'gpu'")),
-    "share above one": ("seeds: 3", "test: 1.5", ("ablation.test", "1.5")),
     "pattern of nothing": ("[run_2]", "[run_7]", ("'run_7'", "key 'ablation.out_of_range'", "run_0")),
-    "physics that is not there": (
-        "[[F_v]]",
-        "[[F_v], [F_x]]",
-        ("key 'ablation.physics[1]'", "'F_x' (did you mean 'F_", "it has P_m1, "),
-    ),
-    "component that is not there": (
-        "[[F_v]]",
-        "[[joint1/motor/dahl]]",
-        ("study.yaml: key 'ablation.physics[0]'", "dahl", "joint1/motor"),
-    ),
-    "place that is not there": (
-        "seeds: 3",
-        "place: [joint1/motor, [joint1/load, joint1/frictoin]]",
-        ("study.yaml: key 'ablation.place[1]': Place 'joint1/frictoin'", "did you mean 'joint1/"),
-    ),
-    "place of the first network": (
-        "place: joint1/motor",
-        "place: joint2/motor",
-        ("study.yaml: key 'hybrid.networks[0].place'", "did you mean 'joint1/motor'?", "use one of joint1"),
-    ),
-    "input that is not there": (
-        "inputs: [speed]",
-        "inputs: [sped]",
-        ("study.yaml: key 'hybrid.networks[0].inputs'", "'sped' (did you mean 'speed'?)", "angle, speed,"),
-    ),
-    "joint that is not there": (
-        "inputs: [speed]",
-        "inputs: [angle2]",
-        ("key 'hybrid.networks[0].inputs'", "'angle2'", "the last one is joint1"),
-    ),
-    "windows longer than the records": (
-        "prices: [1.0, 0.0]",
-        "prices: [1.0, 0.0], windows: [[2.0, 1], [3.0, 1]]",
-        ("key 'hybrid.windows': windows of 2 s, 3 s are too long", "1.2 s (600 samples)", "or [] to begin"),
-    ),
-    "unknown solver": ("hybrid:", "training: {method: rk5}\nhybrid:", ("key 'training'", "'rk5'")),
-    "rising prices": ("[1.0, 0.0]", "[0.1, 1.0]", ("0.1, 1.0", "falling")),
+    "no such physics": ("[[F_v]]", "[[F_v], [F_x]]", ("key 'ablation.physics[1]'", "'F_x' (did you mean 'F_")),
+    "no such component": ("[[F_v]]", "[[joint1/motor/dahl]]", ("key 'ablation.physics[0]'", "dahl", "joint1/motor")),
+    "no such place": ("seeds: 3", "place: [joint1/load, [joint1/frictoin]]", ("'ablation.place[1]'", "did you mean")),
+    "place of the first network": ("place: joint1", "place: joint2", ("'hybrid.networks[0].place'", "did you mean")),
+    "no such input": ("[speed]", "[sped]", ("'hybrid.networks[0].inputs'", "'sped' (did you mean 'speed'?)")),
+    "long windows": ("prices:", "windows: [[2.0, 1]], prices:", ("key 'hybrid.windows': windows of 2 s are too long",)),
+    "rising prices": ("seeds: 3", "price: [0.1, 1.0]", ("key 'ablation.price'", "0.1, 1.0", "falling")),
     "too few records": ("[run_2]", "[run_2, run_1, run_0]", ("too few records",)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -283,20 +214,16 @@ def test_what_the_records_are_too_short_for_is_said(run, plain: Path, cells: Cel
 
 
 def test_one_repeat_is_said_without_nan(run, study: Path, cells: Cells, tmp_path: Path) -> None:
-    study.write_text(study.read_text().replace("seeds: 3", "seeds: 1"))
+    study.write_text(study.read_text().replace("seeds: 3", "seeds: 1") + "output: {tensorboard: false}\n")
     shown = run("ablate", study, "--out", tmp_path / "out")
     text = (tmp_path / "out" / "ablation.json").read_text()
-    assert shown.code == 0 and "(one repeat, no interval)" in shown.out
+    assert (
+        shown.code == 0
+        and "(one repeat, no interval)" in shown.out
+        and not (tmp_path / "out" / "tensorboard").exists()
+    )
     assert not {"nan", "NaN"} & set(re.findall(r"\w+", shown.out + text))
     assert json.loads(text)["arms"][1]["log_ratio_to_physics"]["test"]["upper"] is None
-
-
-def test_no_tensorboard_where_none_is_wanted(run, study: Path, cells: Cells, tmp_path: Path) -> None:
-    study.write_text(study.read_text() + "output: {tensorboard: false}\n")
-    for _ in range(2):  # the second from kept cells
-        shown = run("ablate", study, "--out", tmp_path / "out")
-        assert shown.code == 0 and "report.html, ablation.json, cells, pictures" in shown.out
-    assert not (tmp_path / "out" / "tensorboard").exists()
 
 
 def test_tensorboard_shows_the_plan_of_today(run, study: Path, cells: Cells, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ from hybrid_id.identification.least_squares import Options
 from hybrid_id.paper.demo import DEMO
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study.processes import fit_share
+from hybrid_id.study.run import fit_share
 from hybrid_id.systems.model_file import load_model
 
 TRUTH = {"J": 2e-5, "F_c": 0.01, "F_v": 5e-5}
@@ -636,8 +636,8 @@ def test_interrupt_reaches_the_other_processes(drive: Path, tmp_path: Path, monk
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # as in a process of its own
     data, stop = Dataset.load(drive), tmp_path / "stop"
     stop.touch()
-    settings = {"engine": Engine(), "options": Options()}
-    (found,) = fit_share(data, [0], load_model(drive / "model.yaml"), settings, stop, WHOLE, "cpu", 0.05)
+    settings = {"engine": Engine(), "options": Options(), "starts": 1, "kept": None}
+    (found,) = fit_share([0], data, load_model(drive / "model.yaml"), settings, stop, WHOLE, "cpu", 0.05)
     assert found.status == "interrupted"
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hybrid_id.study.ablation import FAILED, CellResult, Rung
-from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell, Split
+from hybrid_id.errors import InputError
+from hybrid_id.study.ablation import BLACK_BOX, Arm, Cell, CellResult, Rung, Split
 from hybrid_id.study.ablation_result import HYBRID, OPEN, PHYSICS, Ablation, answer, gather, verdict
 
 NETWORK, OTHER = Arm("static", ("joint1/motor",), 8), Arm("memory", ("joint1/motor",), 8)
@@ -25,7 +25,7 @@ def cell(
     bare = Rung(math.inf, errors, {"t": 1.0}, {"J": 2.0}, {"J": 0.1}, 0.0, 0.0, "converged")
     rung = Rung(1.0, errors, {"t": 1.0}, {"J": 2.1}, {"J": 0.1}, **role, status="converged")
     rungs = (bare, rung) if arm.hybrid else (bare,)
-    return CellResult(Cell(arm, seed), split=SPLIT, rungs=rungs, chosen=len(rungs) - 1)
+    return CellResult(Cell(arm, seed, SPLIT), rungs, len(rungs) - 1, 0, 0.0, {}, {})
 
 
 def compared(factors: Mapping[Arm, list[float]], **settings) -> Ablation:
@@ -52,31 +52,19 @@ def test_changes_are_paired_by_seed() -> None:
     assert scores.drift == pytest.approx(0.1 / math.hypot(0.1, 0.1))
 
 
-def test_a_gain_in_every_repeat_is_hybrid() -> None:
-    result = compared({NETWORK: [0.30, 0.32, 0.29, 0.31, 0.30]})
-    assert answer(result) == HYBRID
-    assert verdict(result)[0].startswith("Hybrid: static network at joint1/motor, 8 wide")
-
-
-def test_no_difference_is_physics_only_and_said_so() -> None:
-    result = compared({NETWORK: [1.0, 1.001, 0.999, 1.0, 1.0]})
-    assert answer(result) == PHYSICS
-    assert "not worth its freedom" in verdict(result)[0]
-
-
-def test_a_gain_too_small_to_be_worth_it_is_physics_only() -> None:
-    assert answer(compared({NETWORK: [0.99, 0.991, 0.989, 0.99, 0.99]})) == PHYSICS
-
-
-def test_a_gain_that_chance_may_explain_is_open() -> None:
-    result = compared({NETWORK: [0.3, 2.0, 0.5, 1.5, 0.8]})
-    assert answer(result) == OPEN and "do not show" in verdict(result)[0]
-
-
-def test_a_network_that_diverges_once_is_no_hybrid() -> None:
-    result = compared({NETWORK: [0.3, 0.3, math.inf, 0.3, 0.3]})
-    assert answer(result) == PHYSICS
-    assert "diverged in 1 of 5" in verdict(result)[0]
+@pytest.mark.parametrize(
+    ("factors", "outcome", "words"),
+    [
+        ([0.30, 0.32, 0.29, 0.31, 0.30], HYBRID, "Hybrid: static network at joint1/motor, 8 wide"),
+        ([1.0, 1.001, 0.999, 1.0, 1.0], PHYSICS, "not worth its freedom"),
+        ([0.99, 0.991, 0.989, 0.99, 0.99], PHYSICS, "not worth its freedom"),  # a gain, but too small
+        ([0.3, 2.0, 0.5, 1.5, 0.8], OPEN, "do not show"),
+        ([0.3, 0.3, math.inf, 0.3, 0.3], PHYSICS, "diverged in 1 of 5"),
+    ],
+)
+def test_the_answer_weighs_gain_and_chance(factors: list[float], outcome: str, words: str) -> None:
+    result = compared({NETWORK: factors})
+    assert answer(result) == outcome and words in verdict(result)[0]
 
 
 def test_the_network_is_chosen_by_validation_and_judged_by_test() -> None:
@@ -107,11 +95,11 @@ def test_what_is_taken_out_and_the_network_alone_have_their_sentences() -> None:
 def test_a_broken_cell_takes_only_itself_out() -> None:
     cells = [cell(Arm(), s, e) for s, e in enumerate(PHYSICS_ERROR)]
     cells += [cell(NETWORK, s, 0.3 * e) for s, e in enumerate(PHYSICS_ERROR) if s != 2]
-    result = gather([*cells, CellResult(Cell(NETWORK, 2), FAILED, "MemoryError: no more")])
+    result = gather(cells, {"static-seed-2": "MemoryError: no more"})
     assert result.scores[1].seeds == (0, 1, 3, 4) and result.scores[1].change["test"].n_pairs == 4
-    assert result.failed[0].message == "MemoryError: no more" and "1 cell came to nothing" in " ".join(
-        verdict(result)
-    )
+    assert "1 cell came to nothing" in " ".join(verdict(result))
+    with pytest.raises(InputError, match="no fit of physics only came to an end"):
+        gather([cell(NETWORK, 0, 1.0)], result.failed)
 
 
 def test_one_repeat_has_no_interval_and_no_answer() -> None:
