@@ -18,7 +18,7 @@ import numpy as np
 from hybrid_id.errors import InputError
 from hybrid_id.reading import MOST_COLUMNS
 from hybrid_id.records.readers.mat_hdf5 import is_hdf5, load_hdf5
-from hybrid_id.records.readers.table import Table, refuse_excess, require_columns
+from hybrid_id.records.readers.table import Table, parsing, refuse_excess, require_columns
 
 _NUMBERS = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
@@ -51,18 +51,11 @@ def _columns(
 ) -> tuple[dict[str, np.ndarray], dict[str, float | str], list[str]]:
     """Columns, single numbers, and in version 7.3 the variables that are left unread."""
     others: list[str] = []
-    try:
-        if is_hdf5(path):
-            variables, others = load_hdf5(path, [*wanted, *_EMPS])
-        else:
+    if is_hdf5(path):
+        variables, others = load_hdf5(path, [*wanted, *_EMPS])
+    else:
+        with parsing(path, "MATLAB file", "write it again with '-v7'"):
             variables = _load(path)
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged file can make its parser stumble in any way
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
-        raise InputError(
-            f"{path} is not a readable MATLAB file ({reason}); write it again with '-v7'"
-        ) from None
     columns: dict[str, np.ndarray] = {}
     scalars: dict[str, float | str] = {}
     for name, value in variables.items():
