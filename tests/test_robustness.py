@@ -194,7 +194,9 @@ def test_bombs_get_no_memory(
     describe(tmp_path, name)
     monkeypatch.setattr(table, "MOST_MEMORY", 50_000_000)
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    with pytest.raises(InputError, match="unpacks to more than|longer than 1000000 signs|not a finite number"):
+    with pytest.raises(
+        InputError, match=r"unpacks to more than|longer than 1000000 signs|not a finite number"
+    ):
         Dataset.load(tmp_path)
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 

@@ -48,7 +48,8 @@ def load_hdf5(path: Path, wanted: Collection[str]) -> tuple[dict[str, np.ndarray
         ) from None
     needed = {re.sub(r"\W.*", "", name) for name in wanted}
     variables, others = {}, []
-    with parsing(path, "MATLAB 7.3 file", "write it again, or with '-v7'"), h5py.File(path, "r") as file:
+    opened: Any = h5py.File
+    with parsing(path, "MATLAB 7.3 file", "write it again, or with '-v7'"), opened(path, "r") as file:
         if len(file) > _MOST_VARIABLES:
             raise InputError(f"{path} holds {len(file)} variables; save the few that are needed")
         for name in file:
