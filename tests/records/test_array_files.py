@@ -60,7 +60,10 @@ def test_npz_that_is_wrong(tmp_path: Path) -> None:
     refused(path, ["t"], "unpacks to more than")
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
-    for claimed, word in ((buffer.getvalue(), "unpacks to more than"), (buffer.getvalue()[:20], "not a readable")):
+    for claimed, word in (
+        (buffer.getvalue(), "unpacks to more than"),
+        (buffer.getvalue()[:20], "not a readable"),
+    ):
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("t.npy", claimed)
         refused(path, ["t"], word)
