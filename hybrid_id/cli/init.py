@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.logs import Log, LogFile
     from hybrid_id.records.proposal import Guess
-    from hybrid_id.records.proposal_parts import Chosen, MotorSheet, Proposal
+    from hybrid_id.records.proposal_parts import MotorSheet, Proposal
     from hybrid_id.records.skew import Skew
     from hybrid_id.robots.tree import RigidBodyTree
     from hybrid_id.systems.proposed_model import ProposedModel
@@ -77,7 +77,21 @@ def init(
     files = find_logs(logs)
     base = _base(files, logs)
     folder = out or base
-    _refuse_taken(folder, force)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give the name of a folder")
+    if any((folder / name).exists() for name in RESULTS):
+        raise InputError(
+            f"{folder} holds results of an earlier run, which 'init' does not touch; give another folder"
+        )
+    taken = [name for name in (DATASET, MODEL) if (folder / name).exists() or (folder / name).is_symlink()]
+    if taken and not force:
+        raise InputError(
+            f"{folder} holds {' and '.join(taken)}; give another folder by --out, or --force to replace it"
+        )
+    if odd := [name for name in taken if not (folder / name).is_file()]:
+        raise InputError(f"{folder / odd[0]} is no file; give another folder by --out")
+    for name in taken:
+        announce(folder / name)
     copies = not base.resolve().is_relative_to(folder.resolve())
     if copies and any(file.file_format == "lerobot" for file in files):
         raise InputError(
@@ -113,24 +127,6 @@ def _base(files: "Sequence[LogFile]", given: Sequence[Path]) -> Path:
     parents = [str(file.path.resolve().parent) for file in files]
     common = Path(os.path.commonpath(parents))
     return next((file.path.parent for file in files if file.path.parent.resolve() == common), common)
-
-
-def _refuse_taken(folder: Path, force: bool) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file; give the name of a folder")
-    if any((folder / name).exists() for name in RESULTS):
-        raise InputError(
-            f"{folder} holds results of an earlier run, which 'init' does not touch; give another folder"
-        )
-    taken = [name for name in (DATASET, MODEL) if (folder / name).exists() or (folder / name).is_symlink()]
-    if taken and not force:
-        raise InputError(
-            f"{folder} holds {' and '.join(taken)}; give another folder by --out, or --force to replace it"
-        )
-    if odd := [name for name in taken if not (folder / name).is_file()]:
-        raise InputError(f"{folder / odd[0]} is no file; give another folder by --out")
-    for name in taken:
-        announce(folder / name)
 
 
 def _sheet(motor: Path | None) -> "MotorSheet":
@@ -245,19 +241,6 @@ def _guess(guess: "Guess", indent: str) -> str:
     return _comment(f"{guess.about}: {guess.value}{'' if guess.sure else ' (?)'} - {guess.evidence}", indent)
 
 
-def _column(one: "Chosen") -> dict[str, Any]:
-    entry: dict[str, Any] = {"column": one.column}
-    if one.name == "t" and one.unit != "s":
-        entry["unit"] = one.unit
-    if one.scale != 1.0:
-        entry["scale"] = float(f"{one.scale:.12g}")
-    if one.zero:
-        entry["zero"] = one.zero
-    if one.unwrap:
-        entry["unwrap"] = float(f"{one.unwrap:.12g}")
-    return entry
-
-
 def _dataset_text(
     proposal: "Proposal", root: Path, folder: Path, skews: "Sequence[Skew]", left: Sequence[str]
 ) -> str:
@@ -282,7 +265,16 @@ def _dataset_text(
     lines.append("columns:")
     for one in (proposal.time, *proposal.inputs, *proposal.outputs):
         lines += [_guess(guess, "  ") for guess in one.guesses]
-        lines.append(f"  {one.name}: {_flow(_column(one))}")
+        entry: dict[str, Any] = {"column": one.column}
+        if one.name == "t" and one.unit != "s":
+            entry["unit"] = one.unit
+        if one.scale != 1.0:
+            entry["scale"] = float(f"{one.scale:.12g}")
+        if one.zero:
+            entry["zero"] = one.zero
+        if one.unwrap:
+            entry["unwrap"] = float(f"{one.unwrap:.12g}")
+        lines.append(f"  {one.name}: {_flow(entry)}")
     lines += [_guess(guess, "") for guess in proposal.guesses]
     if proposal.resample:
         lines.append(f"resample: {{max_gap: {proposal.max_gap:g}}}" if proposal.max_gap else "resample: true")

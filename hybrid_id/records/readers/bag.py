@@ -73,7 +73,31 @@ def read_bag(path: Path, wanted: Collection[str]) -> Table:
                 topic.add(reader, isinstance(reader, Reader1), path)
         for topic in topics.values():
             require_columns(path, topic.missing(), _available(readers, topic, path))
-    return _table(path, wanted, topics)
+    # one zero of time: the first stamp of the topic whose stamps are wanted
+    times, stamps_of = {}, {name: topic.stamps() for name, topic in topics.items()}
+    columns = {
+        name: np.array(column.values) for topic in topics.values() for name, column in topic.columns.items()
+    }
+    clocks = [name for name in wanted if name in topics]
+    rows = {}
+    for name, topic in topics.items():
+        first = next(iter(topic.columns.values()), None)
+        rows[name] = np.arange(len(topic.logged)) if first is None else np.array(first.rows)
+    clock = clocks[0] if clocks else next(iter(topics))
+    zero = stamps_of[clock][rows[clock][0]]
+    for name, topic in topics.items():
+        for key, column in topic.columns.items():
+            own = np.array(column.rows)
+            if name != clock or not np.array_equal(own, rows[clock]):
+                times[key] = 1e-9 * (stamps_of[name][own] - zero)
+    columns |= {name: 1e-9 * (stamps_of[name][rows[name]] - zero) for name in clocks}
+    return Table(
+        path,
+        {name: columns[name] for name in wanted},
+        lambda k: f"message {rows[clock][k] + 1} of {clock}",
+        stamps=frozenset(clocks),
+        times=times,
+    )
 
 
 def bag_names(path: Path) -> list[str]:
@@ -365,34 +389,6 @@ def _names(topic: str, kind: str, message: Any, places: Mapping[str, int]) -> li
         for key, k in places.items()
         if k < len(values)
     ]
-
-
-def _table(path: Path, wanted: Collection[str], topics: Mapping[str, _Topic]) -> Table:
-    """Bring what was found to one zero of time: the first stamp of the topic whose stamps are wanted."""
-    times, stamps_of = {}, {name: topic.stamps() for name, topic in topics.items()}
-    columns = {
-        name: np.array(column.values) for topic in topics.values() for name, column in topic.columns.items()
-    }
-    clocks = [name for name in wanted if name in topics]
-    rows = {}
-    for name, topic in topics.items():
-        first = next(iter(topic.columns.values()), None)
-        rows[name] = np.arange(len(topic.logged)) if first is None else np.array(first.rows)
-    clock = clocks[0] if clocks else next(iter(topics))
-    zero = stamps_of[clock][rows[clock][0]]
-    for name, topic in topics.items():
-        for key, column in topic.columns.items():
-            own = np.array(column.rows)
-            if name != clock or not np.array_equal(own, rows[clock]):
-                times[key] = 1e-9 * (stamps_of[name][own] - zero)
-    columns |= {name: 1e-9 * (stamps_of[name][rows[name]] - zero) for name in clocks}
-    return Table(
-        path,
-        {name: columns[name] for name in wanted},
-        lambda k: f"message {rows[clock][k] + 1} of {clock}",
-        stamps=frozenset(clocks),
-        times=times,
-    )
 
 
 def _short(kind: str) -> str:

@@ -54,7 +54,12 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
                 )
         columns = _fields(path, wanted, file.schema_arrow, info, source)
         found = _rows(path, file, sorted({_FRAME, *(field for field, _ in columns.values())}), episode)
-    values = {"t": found[_FRAME][:, 0] / _fps(info, source)}
+    fps = info.get("fps")
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
+        raise InputError(
+            f"{source}: key 'fps' is {str(fps)[:40]}, but frames a second are needed; correct it"
+        )
+    values = {"t": found[_FRAME][:, 0] / (float(fps))}
     for name, (field, element) in columns.items():
         width = found[field].shape[1]
         if element >= width:
@@ -112,16 +117,6 @@ def _read_info(path: Path) -> tuple[dict[str, Any], Path]:
     if not isinstance(info, dict):
         raise InputError(f"{source} is no description of a LeRobot dataset; bring it again")
     return info, source
-
-
-def _fps(info: Mapping[str, Any], source: Path) -> float:
-    """Frames a second."""
-    fps = info.get("fps")
-    if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
-        raise InputError(
-            f"{source}: key 'fps' is {str(fps)[:40]}, but frames a second are needed; correct it"
-        )
-    return float(fps)
 
 
 def _fields(

@@ -55,7 +55,21 @@ def _columns(
         variables, others = load_hdf5(path, [*wanted, *_EMPS])
     else:
         with parsing(path, "MATLAB file", "write it again with '-v7'"):
-            variables = _load(path)
+            # no cell or structure is so much as looked into: they lie in one another as deep as a file likes
+            from scipy.io import loadmat, whosmat
+
+            listed = whosmat(path)
+            if len(listed) > _MOST_VARIABLES:
+                raise InputError(f"{path} holds {len(listed)} variables; save the few that are needed")
+            plain = []
+            counts = Counter(
+                name for name, _, _ in listed
+            )  # of two by one name, the library might follow the other
+            for name, shape, kind in listed:
+                small = len(shape) == 2 and (1 in shape or shape[1] <= MOST_COLUMNS)
+                if kind in _NUMBERS and small and counts[name] == 1:
+                    plain.append(name)
+            variables = loadmat(path, variable_names=plain)
     columns: dict[str, np.ndarray] = {}
     scalars: dict[str, float | str] = {}
     for name, value in variables.items():
@@ -74,22 +88,3 @@ def _columns(
         if isinstance(gain := scalars.get("gtau"), float):
             columns["tau1"] = gain * columns["vir"]
     return columns, scalars, others
-
-
-def _load(path: Path) -> dict[str, np.ndarray]:
-    """Variables that are plain vectors and matrices of numbers; no cell or structure is so much as looked into.
-
-    Cells lie in one another as deep as a file likes, and the library follows them until the process ends.
-    """
-    from scipy.io import loadmat, whosmat
-
-    found = whosmat(path)
-    if len(found) > _MOST_VARIABLES:
-        raise InputError(f"{path} holds {len(found)} variables; save the few that are needed")
-    wanted = []
-    counts = Counter(name for name, _, _ in found)  # of two by one name, the library might follow the other
-    for name, shape, kind in found:
-        small = len(shape) == 2 and (1 in shape or shape[1] <= MOST_COLUMNS)
-        if kind in _NUMBERS and small and counts[name] == 1:
-            wanted.append(name)
-    return loadmat(path, variable_names=wanted)
