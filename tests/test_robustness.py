@@ -67,6 +67,11 @@ def gzip_bomb(file: Path) -> None:
             stream.write(b"0" * 1_000_000)
 
 
+def rows_bomb(file: Path) -> None:
+    """Rows without a fault, which take a thousandth of their size."""
+    file.write_bytes(gzip.compress(b"t,u1,q_m1\n" + b"0,0,0\n" * 20_000_000, 1))
+
+
 def second_member(file: Path) -> None:
     """A bomb behind a harmless table: gzip files may be joined."""
     gzip_bomb(file)
@@ -96,6 +101,7 @@ def parquet_bomb(file: Path) -> None:
     [
         ("b.csv.gz", gzip_bomb),
         ("c.csv.gz", second_member),
+        ("d.csv.gz", rows_bomb),
         ("b.json.gz", gzip_bomb),
         ("b.mat", mat_bomb),
         ("b.parquet", parquet_bomb),

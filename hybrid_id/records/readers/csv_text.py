@@ -141,6 +141,8 @@ def _pieces(
     except UnicodeDecodeError:
         raise
     except ValueError as error:  # text in a number's place, or a row longer than the first
+        if "out of memory" in str(error):
+            raise MemoryError from None
         _raise_for_bad_cell(path, layout, wanted, error)
 
 

@@ -17,13 +17,9 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.reading import MOST_COLUMNS
-from hybrid_id.records.readers.mat_hdf5 import is_hdf5, load_hdf5
+from hybrid_id.records.readers.mat_hdf5 import MOST_VARIABLES, NUMBERS, is_hdf5, load_hdf5
 from hybrid_id.records.readers.table import Table, parsing, refuse_excess, require_columns
 
-_NUMBERS = {"double", "single", "logical"} | {
-    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
-_MOST_VARIABLES = 10_000
 _EMPS = ("qm", "qg", "vir", "gtau")
 
 
@@ -59,7 +55,7 @@ def _columns(
             from scipy.io import loadmat, whosmat
 
             listed = whosmat(path)
-            if len(listed) > _MOST_VARIABLES:
+            if len(listed) > MOST_VARIABLES:
                 raise InputError(f"{path} holds {len(listed)} variables; save the few that are needed")
             plain = []
             counts = Counter(
@@ -67,7 +63,7 @@ def _columns(
             )  # of two by one name, the library might follow the other
             for name, shape, kind in listed:
                 small = len(shape) == 2 and (1 in shape or shape[1] <= MOST_COLUMNS)
-                if kind in _NUMBERS and small and counts[name] == 1:
+                if kind in NUMBERS and small and counts[name] == 1:
                     plain.append(name)
             variables = loadmat(path, variable_names=plain)
     columns: dict[str, np.ndarray] = {}

@@ -16,9 +16,9 @@ from hybrid_id.records.readers.table import parsing
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _STARTS = (0, 512)  # MATLAB puts a header of its own before the HDF5 file
-_NUMBERS = {"double", "single", "logical"} | {f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)}
+NUMBERS = {"double", "single", "logical"} | {f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)}
 _DEFLATE, _SHUFFLE, _FLETCHER = 1, 2, 3  # filters by their HDF5 numbers
-_MOST_VARIABLES = 10_000
+MOST_VARIABLES = 10_000
 _MOST_COLUMNS = 1000  # of one matrix
 
 
@@ -50,7 +50,7 @@ def load_hdf5(path: Path, wanted: Collection[str]) -> tuple[dict[str, np.ndarray
     variables, others = {}, []
     opened: Any = h5py.File
     with parsing(path, "MATLAB 7.3 file", "write it again, or with '-v7'"), opened(path, "r") as file:
-        if len(file) > _MOST_VARIABLES:
+        if len(file) > MOST_VARIABLES:
             raise InputError(f"{path} holds {len(file)} variables; save the few that are needed")
         for name in file:
             fault = _fault(file, name)
@@ -78,7 +78,7 @@ def _fault(file: Any, name: str) -> str:
         return f"a {kind[:40] or 'group'}"
     if h5py.check_ref_dtype(item.dtype):
         return f"a {kind[:40] or 'list'} of object references"
-    if item.dtype.kind not in "fiub" or (kind and kind not in _NUMBERS):
+    if item.dtype.kind not in "fiub" or (kind and kind not in NUMBERS):
         return f"of class {kind[:40] or item.dtype.name[:40]}"
     if item.ndim > 2 or (item.ndim == 2 and 1 not in item.shape and len(item) > _MOST_COLUMNS):
         return f"an array of shape {item.shape[::-1]}"

@@ -142,8 +142,8 @@ def parsing(path: Path, kind: str, remedy: str = "write it again") -> Iterator[N
         raise
     except MemoryError:
         raise InputError(
-            f"{path} unpacks to more than {MEMORY_RATIO} times its size and over {MOST_MEMORY / 1e6:g} MB, which no "
-            "record does; bring it uncompressed if it is one"
+            f"{path} unpacks to more than fits into memory, or than {MEMORY_RATIO} times its size and "
+            f"{MOST_MEMORY / 1e6:g} MB, which no record does; bring it uncompressed if it is one"
         ) from None
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
