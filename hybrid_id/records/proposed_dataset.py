@@ -115,9 +115,9 @@ def propose(
     proposal.roles = ["train"] * (count - tests) + ["test"] * tests
     if tests:
         which = "last is the test record" if tests == 1 else "last two are test records"
-        words = f"the {which}, which no fit sees"
+        reason = f"the {which}, which no fit sees"
     else:
-        words = "too few to keep one for the test"
+        reason = "too few to keep one for the test"
         proposal.questions.append(
             Question(
                 f"Are there more logs? {'The one record is' if count == 1 else 'Both records are'} fitted, and none "
@@ -125,7 +125,7 @@ def propose(
                 "both directions, the whole range), and make it role: test."
             )
         )
-    proposal.guesses.append(Guess("roles", f"{count - tests} train, {tests} test", words))
+    proposal.guesses.append(Guess("roles", f"{count - tests} train, {tests} test", reason))
     if any(guess.about == "unit of time" and not guess.sure for guess in time.guesses):
         why = next(guess.evidence for guess in time.guesses if guess.about == "unit of time")
         evidence.ask(
