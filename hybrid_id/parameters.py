@@ -73,24 +73,21 @@ class Bounded:
                 f"[{self.lower:g}, {self.upper:g}]; move it inside, or widen the bounds where physics allows it."
             )
         if self.prior_std is not None:
-            self._check_prior(name, self.prior_std)
+            if not self.prior_std > 0.0:
+                raise InputError(f"{name} has prior_std {self.prior_std}; give a positive number.")
+            width = self.upper - self.lower
+            size = abs(self.value) or (width if 0.0 < width < math.inf else 1.0)
+            if self.prior_std < NARROWEST_PRIOR * size:
+                raise InputError(
+                    f"{name} has prior_std {self.prior_std:g}, too narrow beside {size:g} for any fit to move it; "
+                    "set 'estimate: false' instead."
+                )
+            if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
+                raise InputError(
+                    f"{name} has prior_mean {self.prior_mean:g} outside its bounds "
+                    f"[{self.lower:g}, {self.upper:g}]; move it inside, or widen the bounds where physics allows it."
+                )
         return self
-
-    def _check_prior(self, name: str, std: float) -> None:
-        if not std > 0.0:
-            raise InputError(f"{name} has prior_std {std}; give a positive number.")
-        width = self.upper - self.lower
-        size = abs(self.value) or (width if 0.0 < width < math.inf else 1.0)
-        if std < NARROWEST_PRIOR * size:
-            raise InputError(
-                f"{name} has prior_std {std:g}, too narrow beside {size:g} for any fit to move it; "
-                "set 'estimate: false' instead."
-            )
-        if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
-            raise InputError(
-                f"{name} has prior_mean {self.prior_mean:g} outside its bounds "
-                f"[{self.lower:g}, {self.upper:g}]; move it inside, or widen the bounds where physics allows it."
-            )
 
     def __deepcopy__(self, _: object) -> Bounded:
         return self  # it never changes, and searches copy models by the thousand

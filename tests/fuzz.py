@@ -517,6 +517,22 @@ def refused(error: InputError) -> None:
     assert "Traceback" not in message and "\n\n" not in message, message
 
 
+def write_files(files: Files, folder: Path) -> None:
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def read_files(target: Target, files: Files) -> None:
+    """Read files, which the target takes or refuses in one sentence; all else is raised."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_files(files, Path(folder))
+        try:
+            target.read(Path(folder))
+        except InputError as error:
+            refused(error)
+
+
 def memory(key: str) -> int:
     """A number of bytes that Linux counts for this process."""
     lines = Path("/proc/self/status").read_text().splitlines()
@@ -525,9 +541,7 @@ def memory(key: str) -> int:
 
 def try_one(target: Target, files: Files, folder: Path, *, first: bool = False) -> None:
     """Read one example; raises what is wrong with its being read. What the first one imports counts for nobody."""
-    for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
+    write_files(files, folder)
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
     before, start = memory("VmRSS"), time.process_time()
     signal.setitimer(signal.ITIMER_REAL, 100.0 if first else 4 * SECONDS)
@@ -585,9 +599,7 @@ def keep(name: str, files: Files, error: BaseException) -> None:
     )
     if place.exists():
         return
-    for file, content in files.items():
-        (place / file).parent.mkdir(parents=True, exist_ok=True)
-        (place / file).write_bytes(content)
+    write_files(files, place)
     (place / "failure.txt").write_text("".join(traceback.format_exception(error))[-6000:])
     words = " ".join(str(error).split())[:200]
     print(f"  {name}: {type(error).__name__} in {own[-1].name}: {words}; kept in {place}", flush=True)

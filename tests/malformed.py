@@ -207,6 +207,11 @@ def malformed_datasets() -> list[Malformed]:
             set_key("records", 0, "file", to="../secret.csv"),
         ),
         Malformed(
+            "path traversal by backslashes",
+            (settings, "records[0].file"),
+            set_key("records", 0, "file", to="..\\\\a.csv"),
+        ),
+        Malformed(
             "absolute path",
             (settings, "records[0].file", "/etc/passwd"),
             set_key("records", 0, "file", to="/etc/passwd"),

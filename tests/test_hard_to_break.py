@@ -8,7 +8,6 @@ import hashlib
 import io
 import json
 import os
-import re
 import struct
 import tarfile
 from collections.abc import Callable
@@ -24,7 +23,6 @@ from scipy.io import savemat
 from hybrid_id.baselines.keep import load as load_diagnosis
 from hybrid_id.baselines.keep import read_run
 from hybrid_id.baselines.run import read_case
-from hybrid_id.cli.blind_runs import judge_run
 from hybrid_id.config import load_config
 from hybrid_id.errors import LONGEST_MESSAGE, InputError
 from hybrid_id.identification.keep import Kept
@@ -287,51 +285,6 @@ def test_archives_of_answers_hold_answers_only(tmp_path: Path, odd: tarfile.TarI
     assert [path.name for path in tmp_path.iterdir()] == ["a.tar"]
 
 
-@given(st.integers(0, 4000), st.binary(min_size=1, max_size=40), st.integers(0, 9000))
-@quick
-def test_a_damaged_archive_is_refused_or_read_and_nothing_is_extracted(
-    tmp_path: Path, at: int, junk: bytes, length: int
-) -> None:
-    file = tmp_path / "a.tar"
-    archive(file, entry("c001.yaml"), entry("c002.yaml"))
-    content = bytearray(file.read_bytes())
-    content[at : at + len(junk)] = junk
-    file.write_bytes(content[: max(length, 1)])
-    try:
-        sheets = open_answers(file, hashlib.sha256(file.read_bytes()).hexdigest())
-    except InputError as error:
-        assert str(file) in str(error) and len(str(error)) <= LONGEST_MESSAGE
-    else:
-        assert all(isinstance(sheet, dict) for sheet in sheets.values())
-    assert [path.name for path in tmp_path.iterdir()] == ["a.tar"]
-
-
-values = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(), st.text("./c01\0", max_size=8), st.just(HASH)),
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3),
-        st.dictionaries(
-            st.sampled_from(["names", "answers", "sha256", "cases", "method"]), inner, max_size=4
-        ),
-    ),
-    max_leaves=12,
-)
-
-
-@given(values)
-@quick
-def test_a_manifest_or_a_run_is_taken_or_refused(tmp_path: Path, content: object) -> None:
-    for name, read in (("manifest.json", read_manifest), ("run.json", read_run)):
-        (tmp_path / name).write_text(json.dumps(content))
-        try:
-            found = read(tmp_path)
-        except InputError as error:
-            assert name in str(error)
-        else:
-            names = found.get("cases", found).get("names", [])
-            assert all(re.fullmatch(r"\w[^/]*", case) for case in names)
-
-
 @pytest.mark.parametrize("name", ["../x", "a/b", "/etc", ".", "..", ".c001", "", 3, None, "x\0"])
 def test_names_of_cases_lead_nowhere_else(tmp_path: Path, name: object) -> None:
     about = {"names": ["c001", name], "answers": {"sha256": HASH}}
@@ -339,16 +292,6 @@ def test_names_of_cases_lead_nowhere_else(tmp_path: Path, name: object) -> None:
     refused(lambda: read_manifest(tmp_path), "no list of names of cases")
     (tmp_path / "run.json").write_text(json.dumps(RUN | {"cases": about}))
     refused(lambda: read_run(tmp_path), "no list of names of cases")
-
-
-@given(st.dictionaries(st.sampled_from(["run", "effects", "verdict", "gap", "unknown"]), values, max_size=5))
-@quick
-def test_a_diagnosis_that_lacks_keys_is_refused_when_it_is_scored(tmp_path: Path, said: dict) -> None:
-    sha256 = archive(tmp_path / "a.tar", entry("c001.yaml"))
-    (tmp_path / "c001").mkdir(exist_ok=True)
-    (tmp_path / "run.json").write_text(json.dumps(RUN | {"cases": CASES | {"answers": {"sha256": sha256}}}))
-    (tmp_path / "c001" / "diagnosis.json").write_text(json.dumps(said | {"run": {"commit": "c"}}))
-    refused(lambda: judge_run(tmp_path, tmp_path / "a.tar"), "c001", "run the case again")
 
 
 def test_junk_in_a_folder_of_runs_is_not_waited_for(tmp_path: Path) -> None:
@@ -616,18 +559,6 @@ def test_files_of_a_description_that_lie_beside_it_are_read(tmp_path: Path) -> N
         mesh("gone.stl").replace("<asset>", '<include file="parts/floor.xml"/><asset>')
     )
     assert load_tree(tmp_path / "arm.xml").names == ("j",)
-
-
-@given(st.binary(min_size=1, max_size=30), st.integers(0, 300), st.integers(0, 20))
-@quick
-def test_damaged_descriptions_are_read_or_refused(tmp_path: Path, junk: bytes, at: int, gone: int) -> None:
-    content = bytearray(mjcf("<geom size='1'/>", '<option timestep="0.01"/>').encode())
-    content[at : at + gone] = junk
-    (tmp_path / "arm.xml").write_bytes(content)
-    try:
-        load_tree(tmp_path / "arm.xml")
-    except InputError as error:
-        assert "arm.xml" in str(error) and len(str(error)) <= LONGEST_MESSAGE
 
 
 def test_settings_as_large_as_any_are_still_read(tmp_path: Path) -> None:

@@ -1,130 +1,47 @@
-"""Hostile and damaged files, a full disk, two runs at once: one sentence, never a traceback, nothing lost.
-
-The mutations are seeded; `--hypothesis-seed` has no part in them. Long fuzzing is the same loop with a larger count.
-"""
+"""Hostile and damaged files, two runs at once: one sentence, never a traceback, nothing lost."""
 
 import gzip
-import json
 import os
-import random
+import resource
 import struct
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
-from scipy.io import savemat
+from fuzz import TARGETS, Files, examples, read_files
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from hybrid_id.cli import folder as folders
 from hybrid_id.cli.folder import live_folder
-from hybrid_id.config import StudyConfig, load_config
+from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 from hybrid_id.identification.checkpoint import read_checkpoint
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.readers.unpack import FREE
-from hybrid_id.systems import one_link
-from hybrid_id.systems.model_file import load_model, save_model
+from hybrid_id.records.readers import table
 
-COUNT = int(os.environ.get("HYBRID_ID_FUZZ", "40"))
-TOKENS = [
-    b"nan", b"inf", b"1e999", b"-", b"\0", b'"', b",", b"\n\n", b"\xff\xfe", b"!!python/object:os.system", b"&a", b"*a",
-    b"[", b"}", b"true", b"null", b"{{", b": :", b"../../",
-]  # fmt: skip
 HEAD = "name: a\ninputs: [{name: u1, unit: V}]\noutputs: [{name: q_m1, unit: rad}]\n"
-BAM = "name: a\ninputs: [{name: goal1, unit: rad}]\noutputs: [{name: q_m1, unit: rad}]\n"
-FILES = ("a.csv", "a.csv.gz", "a.parquet", "a.mat", "a.json")
+FEW = settings(
+    max_examples=25, deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
 
 
-def mutated(content: bytes, draw: random.Random) -> bytes:
-    """Cut short, bytes changed, rubbish put in, a piece taken out, or a token that means something to a parser."""
-    data, kind = bytearray(content), draw.randrange(5)
-    i, j = sorted(draw.randrange(len(data)) for _ in range(2))
-    if kind == 0:
-        return bytes(data[:i])
-    if kind == 1:
-        for _ in range(draw.randrange(1, 20)):
-            data[draw.randrange(len(data))] = draw.randrange(256)
-    elif kind == 2:
-        data[i:i] = draw.randbytes(draw.randrange(1, 64))
-    elif kind == 3:
-        del data[i:j]
-    else:
-        data[i : i + draw.randrange(3)] = draw.choice(TOKENS)
-    return bytes(data)
+@cache
+def sound(name: str) -> Files:
+    return TARGETS[name].sound()
 
 
-def survives(read: Callable[[], object], file: Path, content: bytes) -> None:
-    """Read many mutations of a file: each is taken, or refused in a sentence."""
-    draw = random.Random(file.name)
-    for _ in range(COUNT):
-        file.write_bytes(mutated(content, draw))
-        try:
-            read()
-        except InputError as error:
-            assert len(str(error)) < 1500
-
-
-@pytest.fixture
-def records(tmp_path: Path) -> Path:
-    """A folder with the same short record in every format."""
-    t = np.arange(0, 0.4, 0.002)
-    u, q = np.sin(9 * t), np.cumsum(np.sin(9 * t)) * 0.01
-    frame = pd.DataFrame({"t": t, "u1": u, "q_m1": q})
-    frame.to_csv(tmp_path / "a.csv", index=False)
-    frame.to_csv(tmp_path / "a.csv.gz", index=False)
-    frame.to_parquet(tmp_path / "a.parquet")
-    savemat(tmp_path / "a.mat", {"t": t, "u1": u, "q_m1": q}, do_compression=True)
-    names = (
-        "timestamp",
-        "position",
-        "speed",
-        "goal_position",
-        "load",
-        "input_volts",
-        "temp",
-        "torque_enable",
-    )
-    entries = [
-        dict(zip(names, (a, b, 0.0, 0.1, 12, 7.4, 30, True), strict=True)) for a, b in zip(t, q, strict=True)
-    ]
-    (tmp_path / "a.json").write_text(json.dumps({"kp": 8, "entries": entries}))
-    return tmp_path
-
-
-def describe(folder: Path, name: str) -> None:
-    text = (
-        BAM + "records: [{file: a.json, format: bam}]\n"
-        if name == "a.json"
-        else f"{HEAD}records: [{{file: {name}}}]\n"
-    )
-    (folder / "dataset.yaml").write_text(text)
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_damaged_records(records: Path, name: str) -> None:
-    describe(records, name)
-    Dataset.load(records)
-    survives(lambda: Dataset.load(records), records / name, (records / name).read_bytes())
-
-
-def test_damaged_descriptions(records: Path, drive_model: Path) -> None:
-    describe(records, "a.csv")
-    survives(lambda: Dataset.load(records), records / "dataset.yaml", (records / "dataset.yaml").read_bytes())
-    survives(lambda: load_model(drive_model), drive_model, drive_model.read_bytes())
-    study = records / "study.yaml"
-    study.write_text(
-        "dataset: .\nmodel: model.yaml\nidentification: {starts: 2, loss: huber}\noutput: {folder: x}\n"
-    )
-    survives(lambda: load_config(study), study, study.read_bytes())
-
-
-@pytest.fixture
-def drive_model(tmp_path: Path) -> Path:
-    save_model(one_link(156.0, vertical=True), tmp_path / "model.yaml")
-    return tmp_path / "model.yaml"
+@pytest.mark.parametrize("name", TARGETS)
+@given(st.data())
+@FEW
+def test_every_reader_takes_changed_files_or_refuses_them(name: str, data: st.DataObject) -> None:
+    """A few examples of what `make fuzz` tries for an hour."""
+    read_files(TARGETS[name], data.draw(examples(TARGETS[name], sound(name))))
 
 
 class Evil:
@@ -134,22 +51,25 @@ class Evil:
         return os.system, ("touch evil",)
 
 
-def test_hostile_and_damaged_checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_checkpoint_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "checkpoint.pt"
     torch.save({"identity": ["a"], "state": Evil()}, file)
     with pytest.raises(InputError, match="no checkpoint of a training"):
         read_checkpoint(file, ["a"], dict, torch.device("cpu"))
     assert not (tmp_path / "evil").exists()
-    torch.save({"identity": ["a"], "state": {"x": torch.zeros(9)}}, file)
-    survives(lambda: read_checkpoint(file, ["a"], dict, torch.device("cpu")), file, file.read_bytes())
 
 
 def gzip_bomb(file: Path) -> None:
     with gzip.open(file, "wb") as stream:
         stream.write(b"t,u1,q_m1\n")
-        for _ in range(FREE // 500_000):
+        for _ in range(200):
             stream.write(b"0" * 1_000_000)
+
+
+def rows_bomb(file: Path) -> None:
+    """Rows without a fault, which take a thousandth of their size."""
+    file.write_bytes(gzip.compress(b"t,u1,q_m1\n" + b"0,0,0\n" * 20_000_000, 1))
 
 
 def second_member(file: Path) -> None:
@@ -161,7 +81,7 @@ def second_member(file: Path) -> None:
 
 def mat_bomb(file: Path) -> None:
     """One compressed variable of zeros, by the format's letter (MATLAB, MAT-File Format, R2024a, chapter 1)."""
-    count = FREE // 4
+    count = 25_000_000
     flags, shape = struct.pack("<IIII", 6, 8, 6, 0), struct.pack("<IIii", 5, 8, count, 1)
     matrix = flags + shape + struct.pack("<HH4s", 1, 1, b"t\0\0\0") + struct.pack("<II", 9, 8 * count)
     engine = zlib.compressobj()
@@ -173,8 +93,7 @@ def mat_bomb(file: Path) -> None:
 
 def parquet_bomb(file: Path) -> None:
     """A page that repeats one number needs no more than the number and how often."""
-    pd.DataFrame(dict.fromkeys(("t", "u1", "q_m1"), np.zeros(FREE // 20))).to_parquet(file)
-    assert file.stat().st_size < FREE // 1000
+    pd.DataFrame(dict.fromkeys(("t", "u1", "q_m1"), np.zeros(5_000_000))).to_parquet(file)
 
 
 @pytest.mark.parametrize(
@@ -182,54 +101,32 @@ def parquet_bomb(file: Path) -> None:
     [
         ("b.csv.gz", gzip_bomb),
         ("c.csv.gz", second_member),
+        ("d.csv.gz", rows_bomb),
         ("b.json.gz", gzip_bomb),
         ("b.mat", mat_bomb),
         ("b.parquet", parquet_bomb),
     ],
 )
-def test_bombs_are_refused_before_they_unpack(
-    tmp_path: Path, name: str, make: Callable[[Path], None]
+def test_bombs_get_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, make: Callable[[Path], None]
 ) -> None:
     make(tmp_path / name)
-    describe(tmp_path, name)
-    with pytest.raises(InputError, match="unpacks to more than 100 times its size"):
+    (tmp_path / "dataset.yaml").write_text(f"{HEAD}records: [{{file: {name}}}]\n")
+    monkeypatch.setattr(table, "MOST_MEMORY", 50_000_000)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    with pytest.raises(
+        InputError, match=r"unpacks to more than|longer than 1000000 signs|not a finite number"
+    ):
         Dataset.load(tmp_path)
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 
 def test_a_long_record_is_no_bomb(tmp_path: Path) -> None:
-    count = FREE // 20
+    count = 5_000_000
     still = {"t": 0.002 * np.arange(count), "u1": np.zeros(count), "q_m1": np.arange(count) % 7.0}
     pd.DataFrame(still).to_parquet(tmp_path / "a.parquet")
-    describe(tmp_path, "a.parquet")
+    (tmp_path / "dataset.yaml").write_text(f"{HEAD}records: [{{file: a.parquet}}]\n")
     assert Dataset.load(tmp_path).records[0].n_samples == count
-
-
-@pytest.mark.parametrize("file", ["../a.csv", "/etc/passwd", "x/../../a.csv", "..\\\\a.csv"])
-def test_files_outside_the_folder_are_refused(records: Path, file: str) -> None:
-    inside = records / "inside"
-    inside.mkdir()
-    (inside / "dataset.yaml").write_text(f'{HEAD}records: [{{file: "{file}"}}]\n')
-    with pytest.raises(InputError, match="inside the dataset's folder"):
-        Dataset.load(inside)
-
-
-@pytest.mark.parametrize("name", ["../evil", "a/b", ".hidden", "..", "x" * 300])
-def test_names_that_would_leave_the_folder_are_refused(records: Path, name: str) -> None:
-    (records / "dataset.yaml").write_text(f'{HEAD}records: [{{file: a.csv, name: "{name}"}}]\n')
-    with pytest.raises(InputError, match="cannot be a file name"):
-        Dataset.load(records)
-
-
-@pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e999"])
-@pytest.mark.parametrize("column", [0, 1, 2])
-def test_numbers_that_are_none_are_refused_with_their_row(records: Path, number: str, column: int) -> None:
-    lines = (records / "a.csv").read_text().splitlines()
-    cells = lines[7].split(",")
-    lines[7] = ",".join([*cells[:column], number, *cells[column + 1 :]])
-    (records / "a.csv").write_text("\n".join(lines))
-    describe(records, "a.csv")
-    with pytest.raises(InputError, match=r"row (7|8)"):
-        Dataset.load(records)
 
 
 def test_results_folder_of_two_runs_at_once(tmp_path: Path) -> None:

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.logs import Log, LogFile
     from hybrid_id.records.proposal import Guess
-    from hybrid_id.records.proposal_parts import Chosen, MotorSheet, Proposal
+    from hybrid_id.records.proposal_parts import Proposal
     from hybrid_id.records.skew import Skew
-    from hybrid_id.robots.tree import RigidBodyTree
     from hybrid_id.systems.proposed_model import ProposedModel
 
 DATASET, MODEL = "dataset.yaml", "model.yaml"
@@ -71,27 +70,57 @@ def init(
     What the logs cannot tell stands in the files as a question, with the start that is taken in its place.
     """  # fmt: skip
     from hybrid_id.records.logs import find_logs
+    from hybrid_id.records.proposal import JointFacts
+    from hybrid_id.records.proposal_parts import MotorSheet
     from hybrid_id.records.proposed_dataset import propose
+    from hybrid_id.records.yaml_file import read_yaml, validate
+    from hybrid_id.systems.model_file import seen_from
     from hybrid_id.systems.proposed_model import propose_model
 
     files = find_logs(logs)
     base = _base(files, logs)
     folder = out or base
-    _refuse_taken(folder, force)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give the name of a folder")
+    if any((folder / name).exists() for name in RESULTS):
+        raise InputError(
+            f"{folder} holds results of an earlier run, which 'init' does not touch; give another folder"
+        )
+    taken = [name for name in (DATASET, MODEL) if (folder / name).exists() or (folder / name).is_symlink()]
+    if taken and not force:
+        raise InputError(
+            f"{folder} holds {' and '.join(taken)}; give another folder by --out, or --force to replace it"
+        )
+    if odd := [name for name in taken if not (folder / name).is_file()]:
+        raise InputError(f"{folder / odd[0]} is no file; give another folder by --out")
+    for name in taken:
+        announce(folder / name)
     copies = not base.resolve().is_relative_to(folder.resolve())
     if copies and any(file.file_format == "lerobot" for file in files):
         raise InputError(
             f"a LeRobot dataset stays whole; leave out --out, and the files are written into {base}"
         )
-    sheet, tree = _sheet(motor), _tree(robot)
+    sheet = MotorSheet() if motor is None else validate(MotorSheet, read_yaml(motor), motor)
+    tree = None
+    if robot is not None:
+        from hybrid_id.robots.description import load_tree
+
+        tree = load_tree(robot)
+    joints, ties = [], {} if tree is None else tree.tied
+    for joint in () if tree is None else tree.joints:
+        tied = ties[joint.name].by if joint.name in ties else ""
+        servo = joint.servo is not None
+        joints.append(JointFacts(joint.name, *joint.limits, joint.kind == "slide", servo, tied))
     read, left = _read(files)
-    proposal = propose(read, _joints(tree), sheet)
+    proposal = propose(read, joints, sheet)
     model = propose_model(proposal.drives, sheet, tree, proposal.held)
     root = base if copies else folder
     skews, dataset = _try(proposal, model, root, folder)
+    if "robot" in model.values:
+        model.values["robot"] |= {"file": seen_from(folder, model.values["robot"]["file"])}
     texts = {
         DATASET: _dataset_text(proposal, root, folder, skews, left),
-        MODEL: _model_text(_seen_from(model, folder)),
+        MODEL: _model_text(model),
         **{_schema_of(kind): schema_text(kind) for kind in ("dataset", "model")},
     }
     _write(folder, texts, proposal.logs if copies else [], base)
@@ -113,53 +142,6 @@ def _base(files: "Sequence[LogFile]", given: Sequence[Path]) -> Path:
     parents = [str(file.path.resolve().parent) for file in files]
     common = Path(os.path.commonpath(parents))
     return next((file.path.parent for file in files if file.path.parent.resolve() == common), common)
-
-
-def _refuse_taken(folder: Path, force: bool) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file; give the name of a folder")
-    if any((folder / name).exists() for name in RESULTS):
-        raise InputError(
-            f"{folder} holds results of an earlier run, which 'init' does not touch; give another folder"
-        )
-    taken = [name for name in (DATASET, MODEL) if (folder / name).exists() or (folder / name).is_symlink()]
-    if taken and not force:
-        raise InputError(
-            f"{folder} holds {' and '.join(taken)}; give another folder by --out, or --force to replace it"
-        )
-    if odd := [name for name in taken if not (folder / name).is_file()]:
-        raise InputError(f"{folder / odd[0]} is no file; give another folder by --out")
-    for name in taken:
-        announce(folder / name)
-
-
-def _sheet(motor: Path | None) -> "MotorSheet":
-    from hybrid_id.records.proposal_parts import MotorSheet
-    from hybrid_id.records.yaml_file import read_yaml, validate
-
-    return MotorSheet() if motor is None else validate(MotorSheet, read_yaml(motor), motor)
-
-
-def _tree(robot: Path | None) -> "RigidBodyTree | None":
-    if robot is None:
-        return None
-    from hybrid_id.robots.description import load_tree
-
-    return load_tree(robot)
-
-
-def _joints(tree: "RigidBodyTree | None") -> list[Any]:
-    from hybrid_id.records.proposal import JointFacts
-
-    if tree is None:
-        return []
-    return [
-        JointFacts(
-            joint.name, *joint.limits, joint.kind == "slide", joint.servo is not None,
-            tied.by if (tied := tree.tied.get(joint.name)) else "",
-        )
-        for joint in tree.joints
-    ]  # fmt: skip
 
 
 def _read(files: "Sequence[LogFile]") -> "tuple[list[Log], list[str]]":
@@ -186,16 +168,6 @@ def _read(files: "Sequence[LogFile]") -> "tuple[list[Log], list[str]]":
     return [
         replace(log, columns={n: log.columns[n] for n in fit[0].columns if n in usual}) for log in fit
     ], left
-
-
-def _seen_from(model: "ProposedModel", folder: Path) -> "ProposedModel":
-    """The model with its robot's file as seen from the folder."""
-    from hybrid_id.systems.model_file import seen_from
-
-    if "robot" not in model.values:
-        return model
-    entry = model.values["robot"]
-    return replace(model, values=model.values | {"robot": entry | {"file": seen_from(folder, entry["file"])}})
 
 
 def _try(
@@ -245,19 +217,6 @@ def _guess(guess: "Guess", indent: str) -> str:
     return _comment(f"{guess.about}: {guess.value}{'' if guess.sure else ' (?)'} - {guess.evidence}", indent)
 
 
-def _column(one: "Chosen") -> dict[str, Any]:
-    entry: dict[str, Any] = {"column": one.column}
-    if one.name == "t" and one.unit != "s":
-        entry["unit"] = one.unit
-    if one.scale != 1.0:
-        entry["scale"] = float(f"{one.scale:.12g}")
-    if one.zero:
-        entry["zero"] = one.zero
-    if one.unwrap:
-        entry["unwrap"] = float(f"{one.unwrap:.12g}")
-    return entry
-
-
 def _dataset_text(
     proposal: "Proposal", root: Path, folder: Path, skews: "Sequence[Skew]", left: Sequence[str]
 ) -> str:
@@ -282,7 +241,16 @@ def _dataset_text(
     lines.append("columns:")
     for one in (proposal.time, *proposal.inputs, *proposal.outputs):
         lines += [_guess(guess, "  ") for guess in one.guesses]
-        lines.append(f"  {one.name}: {_flow(_column(one))}")
+        entry: dict[str, Any] = {"column": one.column}
+        if one.name == "t" and one.unit != "s":
+            entry["unit"] = one.unit
+        if one.scale != 1.0:
+            entry["scale"] = float(f"{one.scale:.12g}")
+        if one.zero:
+            entry["zero"] = one.zero
+        if one.unwrap:
+            entry["unwrap"] = float(f"{one.unwrap:.12g}")
+        lines.append(f"  {one.name}: {_flow(entry)}")
     lines += [_guess(guess, "") for guess in proposal.guesses]
     if proposal.resample:
         lines.append(f"resample: {{max_gap: {proposal.max_gap:g}}}" if proposal.max_gap else "resample: true")
@@ -405,18 +373,9 @@ def _say(
         found = {"guesses": facts, "questions": asked, "left_out": ignored, "logs_left_out": list(left)}
         show_json("init", found | {"folder": str(folder), "records": [record.name for record in dataset]})
         return
-    show(
-        table(
-            HEADS,
-            [(a, b, "yes" if sure else "?", c) for a, b, sure, c in rows],
-        )
-    )
+    show(table(HEADS, [(about, value, "yes" if sure else "?", why) for about, value, sure, why in rows]))
     if proposal.left or left:
-        show("", "Left out:")
-        show(
-            *_alike(proposal),
-            *(f"  {one}" for one in left),
-        )
+        show("", "Left out:", *_alike(proposal), *(f"  {one}" for one in left))
     if copies:
         show(f"The logs were copied into {folder}.")
     show("", f"{folder / DATASET} and {folder / MODEL} are written.")

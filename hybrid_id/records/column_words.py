@@ -6,184 +6,45 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+
+def _words(spaced: str) -> frozenset[str]:
+    return frozenset(spaced.split())
+
+
 KINDS: dict[str, frozenset[str]] = {
-    "error": frozenset(["error", "errors", "err"]),
-    "supply": frozenset(["supply", "vbat", "vbus", "vcc", "vin", "battery"]),
-    "temperature": frozenset(["temp", "temperature"]),
-    "duty": frozenset(["duty", "pwm", "dutycycle"]),
-    "current": frozenset(["current", "cur", "curr", "amps", "amp", "ampere", "amperes", "iq", "i", "ia"]),
-    "torque": frozenset(["torque", "torques", "tau", "trq", "tq", "effort", "efforts", "moment", "force"]),
-    "speed": frozenset(
-        [
-            "speed",
-            "speeds",
-            "vel",
-            "velocity",
-            "velocities",
-            "qd",
-            "dq",
-            "qdot",
-            "omega",
-            "w",
-            "dtheta",
-            "thetadot",
-            "dpos",
-            "rpm",
-            "dps",
-        ]
+    "error": _words("error errors err"),
+    "supply": _words("supply vbat vbus vcc vin battery"),
+    "temperature": _words("temp temperature"),
+    "duty": _words("duty pwm dutycycle"),
+    "current": _words("current cur curr amps amp ampere amperes iq i ia"),
+    "torque": _words("torque torques tau trq tq effort efforts moment force"),
+    "speed": _words("speed speeds vel velocity velocities qd dq qdot omega w dtheta thetadot dpos rpm dps"),
+    "angle": _words(
+        "angle angles pos position positions q theta th phi enc encoder qm qa counts ticks deg "
+        "degrees rotation"
     ),
-    "angle": frozenset(
-        [
-            "angle",
-            "angles",
-            "pos",
-            "position",
-            "positions",
-            "q",
-            "theta",
-            "th",
-            "phi",
-            "enc",
-            "encoder",
-            "qm",
-            "qa",
-            "counts",
-            "ticks",
-            "deg",
-            "degrees",
-            "rotation",
-        ]
-    ),
-    "voltage": frozenset(["voltage", "volt", "volts", "u", "vm", "um", "vmotor"]),
-    "time": frozenset(
-        [
-            "t",
-            "time",
-            "timestamp",
-            "timestamps",
-            "stamp",
-            "stamps",
-            "times",
-            "clock",
-            "seconds",
-            "secs",
-            "sec",
-            "millis",
-            "micros",
-            "nanos",
-        ]
+    "voltage": _words("voltage volt volts u vm um vmotor"),
+    "time": _words(
+        "t time timestamp timestamps stamp stamps times clock seconds secs sec millis micros nanos"
     ),
 }
 """Words for each quantity, in the order in which they decide."""
-COMMAND = frozenset(
-    [
-        "cmd",
-        "command",
-        "commands",
-        "commanded",
-        "goal",
-        "goals",
-        "target",
-        "targets",
-        "ref",
-        "reference",
-        "desired",
-        "des",
-        "setpoint",
-        "sp",
-        "action",
-        "actions",
-        "input",
-        "plant",
-        "control",
-        "ctrl",
-    ]
+COMMAND = _words(
+    "cmd command commands commanded goal goals target targets ref reference desired des "
+    "setpoint sp action actions input plant control ctrl"
 )
-MEASURED = frozenset(
-    [
-        "meas",
-        "measured",
-        "measurement",
-        "actual",
-        "act",
-        "feedback",
-        "fb",
-        "state",
-        "states",
-        "present",
-        "observation",
-        "obs",
-        "sensed",
-    ]
+MEASURED = _words(
+    "meas measured measurement actual act feedback fb state states present observation obs sensed"
 )
-GOALS = frozenset(["goal", "goals", "target", "targets", "setpoint", "sp"])
+GOALS = _words("goal goals target targets setpoint sp")
 """Words of commands that are angles where no quantity is named."""
-LINK, MOTOR = frozenset(["link", "load", "arm"]), frozenset(["motor", "rotor"])
-COUNTERS = frozenset(
-    [
-        "index",
-        "idx",
-        "frame",
-        "sample",
-        "samples",
-        "id",
-        "seq",
-        "sequence",
-        "episode",
-        "task",
-        "row",
-        "step",
-        "count",
-        "done",
-        "reward",
-    ]
-)
+LINK, MOTOR = _words("link load arm"), _words("motor rotor")
+COUNTERS = _words("index idx frame sample samples id seq sequence episode task row step count done reward")
 """Words of columns that number the rows."""
-FILLERS = frozenset(
-    [
-        "joint",
-        "joints",
-        "data",
-        "value",
-        "values",
-        "raw",
-        "filtered",
-        "the",
-        "of",
-        "in",
-        "servo",
-        "m",
-        "a",
-        "controller",
-        "side",
-        "rad",
-        "deg",
-        "radian",
-        "radians",
-        "mrad",
-        "rev",
-        "revs",
-        "turn",
-        "turns",
-        "revolutions",
-        "degrees",
-        "s",
-        "ms",
-        "us",
-        "ns",
-        "v",
-        "mv",
-        "ma",
-        "nm",
-        "n",
-        "x",
-        "y",
-        "percent",
-        "per",
-        "ncm",
-        "nmm",
-        "j",
-    ]
+FILLERS = _words(
+    "joint joints data value values raw filtered the of in servo m a controller side rad deg "
+    "radian radians mrad rev revs turn turns revolutions degrees s ms us ns v mv ma nm n x y "
+    "percent per ncm nmm j"
 )
 VOCABULARY = frozenset().union(*KINDS.values(), COMMAND, MEASURED, LINK, MOTOR, FILLERS)
 UNITS: tuple[tuple[str, str], ...] = (

@@ -1,6 +1,6 @@
 """Reading and writing of a dataset folder: `dataset.yaml` (see `schema.py`) and one file a record."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -107,24 +107,36 @@ def write_dataset(dataset: "Dataset", folder: Path) -> None:
     write_yaml(folder / FILE_NAME, plain(values) | {"records": entries})
 
 
-def _refuse_dead_outputs(outputs: Sequence[Channel], records: Sequence[Record], file: Path) -> None:
-    """Raise InputError for an output that never changes although another one of its joint does, or where none does.
-
-    A joint of which nothing changes may be held, while others move.
-    """
-    moving = {c.name for c in outputs if any(np.ptp(record.outputs[c.name]) for record in records)}
-    joints = {number_of(name) for name in moving}
-    for channel in outputs:
-        if channel.name not in moving and (not moving or number_of(channel.name) in joints):
-            words = "stands still in every record; check its column and its sensor"
-            raise InputError(f"{file}: output '{channel.name}' {words}")
-
-
 def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     """Read all records of a checked dataset file."""
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
-    _refuse_strange_columns(spec, units, file)
-    _refuse_shared_columns(spec, file)
+    # a column map names channels, in units that fit them
+    maps = {"columns": spec.columns}
+    maps |= {f"records[{index}].columns": entry.columns for index, entry in enumerate(spec.records)}
+    for key, columns in maps.items():
+        for channel, column in columns.items():
+            if channel not in units:
+                raise InputError(
+                    f"{file}: key '{key}.{channel}' is no channel; channels are {', '.join(units)}"
+                )
+            try:
+                _ = column.unit and to_si(column.unit, channel)
+            except InputError as error:
+                raise InputError(f"{file}: key '{key}.{channel}': {error}") from None
+    # no channel is read from the column of the stamps, and no input from that of an output
+    inputs, outputs = ({entry.name for entry in group} for group in (spec.inputs, spec.outputs))
+    for index, entry in enumerate(spec.records):
+        columns = {name: name for name in ("t", *inputs, *outputs)}
+        columns |= {name: column.column for name, column in (spec.columns | entry.columns).items()}
+        for one in columns:
+            for other in columns:
+                stamps, crossed = one != "t" and other == "t", one in inputs and other in outputs
+                if (stamps or crossed) and columns[one] == columns[other]:
+                    key = f"records[{index}].columns" if {one, other} & entry.columns.keys() else "columns"
+                    raise InputError(
+                        f"{file}: key '{key}': '{one}' and '{other}' are both read from column '{columns[one]}'; "
+                        "correct one of them"
+                    )
     inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
     read = [
         (entry.between, _read_record(entry, spec, units, data_file, file))
@@ -134,7 +146,13 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     records = tuple(record for _, record in read)
     slack = max(abs(channel.skew) for channel in (*spec.inputs, *spec.outputs))
     beyond = {one.name: words for part, one in read if part and (words := _beyond_the_log(part, one, slack))}
-    _refuse_dead_outputs(outputs, records, file)
+    # a joint of which nothing changes may be held, while others move; one of two sensors of a joint may not
+    moving = {c.name for c in outputs if any(np.ptp(record.outputs[c.name]) for record in records)}
+    joints = {number_of(name) for name in moving}
+    for channel in outputs:
+        if channel.name not in moving and (not moving or number_of(channel.name) in joints):
+            words = "stands still in every record; check its column and its sensor"
+            raise InputError(f"{file}: output '{channel.name}' {words}")
     sample_time, reports = spec.sample_time, ()
     if spec.resample:
         if spec.resample.sample_time and sample_time and spec.resample.sample_time != sample_time:
@@ -184,39 +202,6 @@ def _channels(spec: DatasetFile, group: str, file: Path) -> tuple[Channel, ...]:
         except InputError as error:
             raise InputError(f"{file}: key '{group}[{index}]': {error}") from None
     return tuple(channels)
-
-
-def _refuse_strange_columns(spec: DatasetFile, units: Mapping[str, str], file: Path) -> None:
-    """Raise InputError for a key of a column map that is no channel, and for a unit that does not fit it."""
-    maps = {"columns": spec.columns}
-    maps |= {f"records[{index}].columns": entry.columns for index, entry in enumerate(spec.records)}
-    for key, columns in maps.items():
-        for channel, column in columns.items():
-            if channel not in units:
-                raise InputError(
-                    f"{file}: key '{key}.{channel}' is no channel; channels are {', '.join(units)}"
-                )
-            try:
-                _ = column.unit and to_si(column.unit, channel)
-            except InputError as error:
-                raise InputError(f"{file}: key '{key}.{channel}': {error}") from None
-
-
-def _refuse_shared_columns(spec: DatasetFile, file: Path) -> None:
-    """Raise InputError where a channel is read from the column of the stamps, or an input from that of an output."""
-    inputs, outputs = ({entry.name for entry in group} for group in (spec.inputs, spec.outputs))
-    for index, entry in enumerate(spec.records):
-        columns = {name: name for name in ("t", *inputs, *outputs)}
-        columns |= {name: column.column for name, column in (spec.columns | entry.columns).items()}
-        for one in columns:
-            for other in columns:
-                stamps, crossed = one != "t" and other == "t", one in inputs and other in outputs
-                if (stamps or crossed) and columns[one] == columns[other]:
-                    key = f"records[{index}].columns" if {one, other} & entry.columns.keys() else "columns"
-                    raise InputError(
-                        f"{file}: key '{key}': '{one}' and '{other}' are both read from column '{columns[one]}'; "
-                        "correct one of them"
-                    )
 
 
 def _files(entry: RecordEntry, folder: Path, where: str, follow_links: bool) -> Iterator[Path]:
@@ -287,7 +272,8 @@ def _read_record(
     meta = {**table.meta, **entry.meta}
     try:
         record = Record(
-            name=entry.name or record_name(path) + _suffix(entry),
+            name=entry.name
+            or record_name(path) + ("" if entry.episode is None else f"_episode_{entry.episode}"),
             time=time,
             inputs={channel.name: signals[channel.name] for channel in spec.inputs},
             outputs={channel.name: signals[channel.name] for channel in spec.outputs},
@@ -300,11 +286,6 @@ def _read_record(
         raise InputError(f"{file}: {error}") from None
     record = shift_channels(record, {channel.name: channel.skew for channel in (*spec.inputs, *spec.outputs)})
     return record.between(*entry.between) if entry.between else record
-
-
-def _suffix(entry: RecordEntry) -> str:
-    """What tells the records of one file apart."""
-    return "" if entry.episode is None else f"_episode_{entry.episode}"
 
 
 def _read(

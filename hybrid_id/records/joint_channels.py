@@ -226,8 +226,33 @@ class _Joint:
         column = _drives(self.kinds, self.drive.command, self.evidence)
         assert column is not None
         self._command(column)
-        self._switch()
-        self._sign()
+        # the motor's switch, where it is thrown: off, its terminals are open
+        for column in self.kinds.get("enable", ())[:1]:
+            if self.evidence.moves(column.name):
+                name = f"enable{self.drive.number}"
+                self.inputs.append(Chosen(name, column.name, "1", guesses=[_why(name, column, "switch")]))
+        # turn the angle where command and response are opposed, and fit the drive
+        command, output = self.inputs[0], self.outputs[0]
+        if self._by_goal:
+            (log,) = self.evidence.liveliest(output.column)
+            related = follows(self.evidence.time(log), command.values(log), output.values(log))
+            words = f"correlation of the goal with the angle: {related:+.2f}"
+            sure = abs(related) > 0.5
+            guess = Guess(f"sign of {output.name}", "-1" if sure and related < 0 else "1", words, sure)
+        else:
+            guess = sign_of(self._fit(), command.name, output.name)
+        if not guess.sure:
+            self.evidence.ask(
+                f"Does a positive '{command.column}' turn '{output.column}' the positive way? ({guess.evidence})"
+            )
+        if guess.value != "-1":
+            output.guesses.append(guess)
+        else:
+            turned, words = self._turned(guess.evidence)
+            for one in turned:
+                one.turn()
+            turned[0].guesses.append(Guess(f"sign of {turned[0].name}", "-1", words))
+        self.drive.fit = self._fit()
         if angle is not None:
             self._side_by_motor()
             self._zero()
@@ -508,13 +533,6 @@ class _Joint:
             self.inputs.append(Chosen(name, gain.name, "1", guesses=[_why(name, gain, "gain")]))
             self._supply()
 
-    def _switch(self) -> None:
-        """The switch of the motor, where it is thrown: off, its terminals are open."""
-        for column in self.kinds.get("enable", ())[:1]:
-            if self.evidence.moves(column.name):
-                name = f"enable{self.drive.number}"
-                self.inputs.append(Chosen(name, column.name, "1", guesses=[_why(name, column, "switch")]))
-
     def _supply(self) -> None:
         """The logged supply voltage."""
         column, name = self.kinds["supply"][0], f"supply{self.drive.number}"
@@ -618,30 +636,6 @@ class _Joint:
     def _by_goal(self) -> bool:
         return self.drive.command in ("goal", "position_loop")
 
-    def _sign(self) -> None:
-        """Turn the angle where command and response are opposed, and fit the drive."""
-        command, output = self.inputs[0], self.outputs[0]
-        if self._by_goal:
-            (log,) = self.evidence.liveliest(output.column)
-            related = follows(self.evidence.time(log), command.values(log), output.values(log))
-            words = f"correlation of the goal with the angle: {related:+.2f}"
-            sure = abs(related) > 0.5
-            guess = Guess(f"sign of {output.name}", "-1" if sure and related < 0 else "1", words, sure)
-        else:
-            guess = sign_of(self._fit(), command.name, output.name)
-        if not guess.sure:
-            self.evidence.ask(
-                f"Does a positive '{command.column}' turn '{output.column}' the positive way? ({guess.evidence})"
-            )
-        if guess.value != "-1":
-            output.guesses.append(guess)
-        else:
-            turned, words = self._turned(guess.evidence)
-            for one in turned:
-                one.turn()
-            turned[0].guesses.append(Guess(f"sign of {turned[0].name}", "-1", words))
-        self.drive.fit = self._fit()
-
     def _turned(self, words: str) -> tuple[list[Chosen], str]:
         """Which of two opposed ones to turn: the outputs, or the command where the robot's range asks for that."""
         command, output, joint = self.inputs[0], self.outputs[0], self.joint
@@ -689,7 +683,15 @@ class _Joint:
         elif joint is not None and limited:
             angle.guesses.append(Guess(about, "0", f"all angles lie in the range of {joint.name}"))
         if joint is not None and limited:
-            self._stops(joint)
+            # where the joint is beyond its limits
+            values, middle = self.at_joint(self.evidence.logs), 0.5 * (joint.low + joint.high)
+            for k, beyond in enumerate(beyond_limits(values, joint)):
+                if beyond.any():
+                    far = values[k][np.argmax(np.abs(values[k] - middle))]
+                    words = (
+                        f"{joint.name} runs to {far:.4g}, its limits are {joint.low:.4g} to {joint.high:.4g}"
+                    )
+                    self.evidence.stops.setdefault(k, []).append((words, beyond))
 
     def _move_zero(self, guess: Guess, with_goal: bool) -> None:
         angle, offset = self.outputs[0], float(guess.value)
@@ -704,15 +706,6 @@ class _Joint:
         )
         if self.joint is None:
             self.drive.fit = self._fit()
-
-    def _stops(self, joint: JointFacts) -> None:
-        """Note where the joint is beyond its limits."""
-        values, middle = self.at_joint(self.evidence.logs), 0.5 * (joint.low + joint.high)
-        for k, beyond in enumerate(beyond_limits(values, joint)):
-            if beyond.any():
-                far = values[k][np.argmax(np.abs(values[k] - middle))]
-                words = f"{joint.name} runs to {far:.4g}, its limits are {joint.low:.4g} to {joint.high:.4g}"
-                self.evidence.stops.setdefault(k, []).append((words, beyond))
 
     def _lag(self) -> None:
         """How late the angle follows its goal, the median of the logs that show it."""

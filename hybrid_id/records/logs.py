@@ -123,7 +123,10 @@ def read_log(file: LogFile) -> Log:
             raise InputError(
                 f"{file.path} has no topic of joint states, of a controller's state or of numbers"
             )
-        clock = max(topics, key=lambda topic: sum(_is_angle(n) for n in names if n.startswith(f"{topic}/")))
+        clock = max(
+            topics,
+            key=lambda topic: sum("/position" in name for name in names if name.startswith(f"{topic}/")),
+        )
         names = [name for name in names if name not in topics]
         names.sort(key=lambda name: not name.startswith(f"{clock}/"))
     left = {name: "beyond the first columns, which are looked at" for name in names[MOST_COLUMNS:]}
@@ -141,7 +144,13 @@ def read_log(file: LogFile) -> Log:
             left[name] = "has a single value"
             continue
         if name in table.times and time is not None:
-            values = _between(time, table.times[name], values)
+            # nearest where it steps by half of its range: an angle that begins anew has no value between, nor a switch
+            stamps = table.times[name]
+            after = np.clip(np.searchsorted(stamps, time), 1, stamps.size - 1)
+            jumps = np.abs(values[after] - values[after - 1]) > 0.5 * np.ptp(values)
+            sooner = time - stamps[after - 1] < stamps[after] - time
+            nearest = np.where(sooner, values[after - 1], values[after])
+            values = np.where(jumps, nearest, np.interp(time, stamps, values))
         if values.size != length:
             left[name] = f"has {values.size} values where most columns have {length}"
         elif not np.isfinite(values).all():
@@ -155,22 +164,6 @@ def read_log(file: LogFile) -> Log:
     return Log(
         file, columns, clock, left, {name: table.times[name] for name in columns if name in table.times}
     )
-
-
-def _between(time: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A column at other stamps, (T,): interpolated, but for steps over half of its range, where the nearest one counts.
-
-    An angle that begins anew after a turn has no value between, and a command that is switched has none.
-    """
-    straight = np.interp(time, own, values)
-    after = np.clip(np.searchsorted(own, time), 1, own.size - 1)
-    jumps = np.abs(values[after] - values[after - 1]) > 0.5 * np.ptp(values)
-    nearest = np.where(time - own[after - 1] < own[after] - time, values[after - 1], values[after])
-    return np.where(jumps, nearest, straight)
-
-
-def _is_angle(name: str) -> bool:
-    return "/position" in name
 
 
 def _length(table: Table, clock: str) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.column_words import ColumnWords, read_name, tokens
-from hybrid_id.records.joint_channels import Pair, choose_channels, find_pair
+from hybrid_id.records.joint_channels import choose_channels, find_pair
 from hybrid_id.records.logs import Log
 from hybrid_id.records.proposal import (
     RELATED,
@@ -67,9 +67,28 @@ def propose(
     found = [find_pair(joint.name if joint else key, groups[key], joint, evidence) for key, joint in placed]
     pairs = [pair for pair in found if pair is not None]
     if not pairs:
-        raise InputError(_no_pair(logs[0], proposal))
+        shown = ", ".join(list(logs[0].columns)[:12]) + (", ..." if len(logs[0].columns) > 12 else "")
+        why = "; ".join(f"{name}: {reason}" for name, reason in proposal.left[:3])
+        raise InputError(
+            f"{logs[0].file.path} has no usable pair of an input (voltage, duty, current, torque, goal) and an angle "
+            f"or speed (columns are {shown}{'; ' + why if why else ''}); rename the columns after what they hold, or "
+            "write dataset.yaml by hand as docs/records.md shows"
+        )
     if not joints:
-        pairs = [_first_alone(pairs, evidence)]
+        # where no robot says how the joints hang together, the first one alone is modelled
+        first, *others = pairs
+        if others:
+            evidence.ask(
+                f"The logs hold {len(pairs)} joints, and no robot is given: the model is of '{first.title}' alone, "
+                f"the others ({', '.join(one.title for one in others)}) are left out. Give --robot with the MJCF or "
+                "URDF for all; one joint alone is right only if the others stood still."
+            )
+        own = {one.name for one in first.columns}
+        for pair in others:
+            for one in pair.columns:
+                if one.name not in own:
+                    evidence.leave(one.name, f"of {pair.title}, a joint that is left out")
+        pairs = [first]
     for number, pair in enumerate(pairs, 1):
         choose_channels(pair, number, evidence)
     _share_units(evidence)
@@ -90,7 +109,23 @@ def propose(
     proposal.resample = evenly.value == "resample"
     proposal.guesses.append(evenly)
     _parts(evidence)
-    _roles(proposal)
+    # the last record tests the model, of many the last two; of too few none does
+    count = len(proposal.logs)
+    tests = 0 if count < LEAST_FOR_TEST else 1 if count < MANY else 2
+    proposal.roles = ["train"] * (count - tests) + ["test"] * tests
+    if tests:
+        which = "last is the test record" if tests == 1 else "last two are test records"
+        reason = f"the {which}, which no fit sees"
+    else:
+        reason = "too few to keep one for the test"
+        proposal.questions.append(
+            Question(
+                f"Are there more logs? {'The one record is' if count == 1 else 'Both records are'} fitted, and none "
+                f"tests the model: record at least {LEAST_FOR_TEST - count} more, with another motion (other speeds, "
+                "both directions, the whole range), and make it role: test."
+            )
+        )
+    proposal.guesses.append(Guess("roles", f"{count - tests} train, {tests} test", reason))
     if any(guess.about == "unit of time" and not guess.sure for guess in time.guesses):
         why = next(guess.evidence for guess in time.guesses if guess.about == "unit of time")
         evidence.ask(
@@ -215,36 +250,6 @@ def _cut(proposal: Proposal, k: int, time: np.ndarray, words: str) -> None:
     proposal.between[k] = float(time[0]), float(time[-1])
     value = f"{time[0]:.6g} to {time[-1]:.6g} s"
     proposal.guesses.append(Guess(f"part of {proposal.logs[k].file.title}", value, words))
-
-
-def _roles(proposal: Proposal) -> None:
-    """The last record tests the model, of many the last two; of too few none does."""
-    count = len(proposal.logs)
-    tests = 0 if count < LEAST_FOR_TEST else 1 if count < MANY else 2
-    proposal.roles = ["train"] * (count - tests) + ["test"] * tests
-    if tests:
-        which = "last is the test record" if tests == 1 else "last two are test records"
-        words = f"the {which}, which no fit sees"
-    else:
-        words = "too few to keep one for the test"
-        proposal.questions.append(
-            Question(
-                f"Are there more logs? {'The one record is' if count == 1 else 'Both records are'} fitted, and none "
-                f"tests the model: record at least {LEAST_FOR_TEST - count} more, with another motion (other speeds, "
-                "both directions, the whole range), and make it role: test."
-            )
-        )
-    proposal.guesses.append(Guess("roles", f"{count - tests} train, {tests} test", words))
-
-
-def _no_pair(log: Log, proposal: Proposal) -> str:
-    shown = ", ".join(list(log.columns)[:12]) + (", ..." if len(log.columns) > 12 else "")
-    why = "; ".join(f"{name}: {reason}" for name, reason in proposal.left[:3])
-    return (
-        f"{log.file.path} has no usable pair of an input (voltage, duty, current, torque, goal) and an angle or speed "
-        f"(columns are {shown}{'; ' + why if why else ''}); rename the columns after what they hold, or write "
-        "dataset.yaml by hand as docs/records.md shows"
-    )
 
 
 def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
@@ -422,20 +427,3 @@ def _place(
         order = "" if len(unsure) == 1 else ", in this order"
         proposal.questions.append(Question(f"Are the columns of {several} those of joint {names}{order}?"))
     return sorted(found, key=lambda one: joints.index(one[1]))
-
-
-def _first_alone(pairs: Sequence[Pair], evidence: Evidence) -> Pair:
-    """The first of the joints, which alone is modelled where no robot says how they hang together."""
-    first, *others = pairs
-    if others:
-        evidence.ask(
-            f"The logs hold {len(pairs)} joints, and no robot is given: the model is of '{first.title}' alone, the "
-            f"others ({', '.join(one.title for one in others)}) are left out. Give --robot with the MJCF or URDF for "
-            "all; one joint alone is right only if the others stood still."
-        )
-    own = {one.name for one in first.columns}
-    for pair in others:
-        for one in pair.columns:
-            if one.name not in own:
-                evidence.leave(one.name, f"of {pair.title}, a joint that is left out")
-    return first

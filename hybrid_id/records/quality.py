@@ -209,18 +209,7 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
             f"it spans only {np.ptp(values) / quantum:.0f} steps of {quantum:.3g}; move further",
         )
     goal = record.inputs.get(f"goal{number_of(name)}") if position else None
-    yield from _glitches(record, values, fine, goal, position=position)
-    if position:
-        yield from _motion(record, values, fine)
-
-
-def _glitches(
-    record: Record, values: np.ndarray, fine: float, goal: np.ndarray | None, *, position: bool
-) -> Iterator[tuple[Severity, str, str]]:
-    """What no machine does: jumps by a turn, spikes, dead stops; ``fine`` is what noise and resolution hide.
-
-    A joint that stops at its goal, which rests or turns there, has arrived.
-    """
+    # what no machine does: jumps by a turn, spikes, dead stops but at a goal at which the joint has arrived
     if position and (turns := turns_back(values)).size:
         at = stamp(float(record.time[turns[0]]))
         yield (
@@ -254,20 +243,18 @@ def _glitches(
                 "range; keep clear of it or cut the record with 'between'"
             )
             yield "warning", "clipped", words
-
-
-def _motion(record: Record, values: np.ndarray, fine: float) -> Iterator[tuple[Severity, str, str]]:
-    """What an angle's motion lacks: reversals, and a start at rest."""
-    if count_turns(values, 5 * fine) == 0:
+    if position and count_turns(values, 5 * fine) == 0:
         words = "it moves in one direction only, so friction cannot be separated from a constant torque; add reversals"
         yield "warning", "one_direction", words
     first = np.diff(values[:3])  # a start at rest that accelerates has a second step three times the first
-    if rest_samples(record) < 3 and abs(first.sum()) > 6 * fine and abs(first[0]) > 2 * abs(np.ptp(first)):
-        yield (
-            "warning",
-            "start_motion",
-            "it is moving at the start, so that its speed there has to be estimated; begin at rest",
-        )
+    if (
+        position
+        and rest_samples(record) < 3
+        and abs(first.sum()) > 6 * fine
+        and abs(first[0]) > 2 * abs(np.ptp(first))
+    ):
+        words = "it is moving at the start, so that its speed there has to be estimated; begin at rest"
+        yield "warning", "start_motion", words
 
 
 def _merged(findings: list[Finding]) -> Iterator[Finding]:

@@ -144,7 +144,19 @@ def resample_record(
         )
     grid = record.time[0] + step * np.arange(n_out)
     changed = n_out != record.n_samples or bool(np.max(np.abs(grid - record.time)) > UNIFORM_TOLERANCE * step)
-    new = _on_grid(record, grid, step, inputs) if changed else record
+    new = record
+    if changed:
+        # past the rounding of stamps, which is coarse where they count from 1970
+        in_force = np.searchsorted(record.time, grid + UNIFORM_TOLERANCE * step, side="right") - 1
+        held = {name: values[in_force] for name, values in record.inputs.items()}
+        mean = {} if inputs == "hold" else {name: _read_off(record, name, grid, step) for name in held}
+        outputs = {name: _read_off(record, name, grid, step) for name in record.outputs}
+        new = replace(record, time=grid, inputs=held | mean, outputs=outputs)
+    common = record.time <= new.time[-1]
+    lost = {}
+    for name, values in record.outputs.items() if changed else ():
+        between = values - np.interp(record.time, new.time, new.outputs[name])
+        lost[name] = float(np.sqrt(np.mean(between[common] ** 2)))
     steps = np.diff(record.time)
     report = ResampleReport(
         record=record.name,
@@ -156,32 +168,22 @@ def resample_record(
         max_step=float(steps.max()),
         jitter=float(steps.std() / record.sample_time),
         gaps=find_gaps(record),
-        lost=_lost(record, new) if changed else {},
+        lost=lost,
         changed=changed,
     )
     return new, report
 
 
-def _on_grid(record: Record, grid: np.ndarray, step: float, method: str) -> Record:
-    from scipy.interpolate import Akima1DInterpolator  # slow to import, and most datasets are uniform
+def _read_off(record: Record, name: str, instants: np.ndarray, step: float) -> np.ndarray:
+    """A channel at other instants [s], (N,): an output between samples, of a held input the mean over a step [s]."""
+    if name in record.outputs:
+        from scipy.interpolate import Akima1DInterpolator  # slow to import, and most datasets are uniform
 
-    instants = np.minimum(grid, record.time[-1])
-    for name, values in record.outputs.items():
-        refuse_turns(name, record.time, values, record.title)
-    outputs = {
-        name: Akima1DInterpolator(record.time, values, method="makima")(instants)
-        for name, values in record.outputs.items()
-    }
-    # past the rounding of stamps, which is coarse where they count from 1970
-    in_force = np.searchsorted(record.time, grid + UNIFORM_TOLERANCE * step, side="right") - 1
-    inputs = {}
-    for name, values in record.inputs.items():
-        if method == "hold":
-            inputs[name] = values[in_force]
-            continue
-        mean = _mean_of_held(record.time, values, grid, step)
-        inputs[name] = np.round(mean) if stem(name) == "enable" else mean
-    return replace(record, time=grid, inputs=inputs, outputs=outputs)
+        refuse_turns(name, record.time, record.outputs[name], record.title)
+        inside = np.clip(instants, record.time[0], record.time[-1])
+        return Akima1DInterpolator(record.time, record.outputs[name], method="makima")(inside)
+    mean = _mean_of_held(record.time, record.inputs[name], instants, step)
+    return np.round(mean) if stem(name) == "enable" else mean
 
 
 def _mean_of_held(time: np.ndarray, values: np.ndarray, grid: np.ndarray, step: float) -> np.ndarray:
@@ -205,8 +207,6 @@ def shift_channels(record: Record, late: Mapping[str, float]) -> Record:
     Raises:
         InputError: a skew is longer than the record, or an angle that is recorded late jumps by a turn.
     """
-    from scipy.interpolate import Akima1DInterpolator
-
     late = {name: skew for name, skew in late.items() if skew}
     if not late:
         return record
@@ -223,14 +223,9 @@ def shift_channels(record: Record, late: Mapping[str, float]) -> Record:
     time = record.time[kept]
 
     def shifted(name: str, values: np.ndarray) -> np.ndarray:
-        if name not in late:
-            return values[kept]
-        instants = np.clip(time + late[name], record.time[0], record.time[-1])
-        if name in record.outputs:
-            refuse_turns(name, record.time, values, record.title)
-            return Akima1DInterpolator(record.time, values, method="makima")(instants)
-        mean = _mean_of_held(record.time, values, time + late[name], record.sample_time)
-        return np.round(mean) if stem(name) == "enable" else mean
+        return (
+            _read_off(record, name, time + late[name], record.sample_time) if name in late else values[kept]
+        )
 
     return replace(
         record,
@@ -238,14 +233,3 @@ def shift_channels(record: Record, late: Mapping[str, float]) -> Record:
         inputs={name: shifted(name, values) for name, values in record.inputs.items()},
         outputs={name: shifted(name, values) for name, values in record.outputs.items()},
     )
-
-
-def _lost(record: Record, new: Record) -> dict[str, float]:
-    """RMS per output of the old samples minus the new ones interpolated back, over their common time."""
-    common = record.time <= new.time[-1]
-    return {
-        name: float(
-            np.sqrt(np.mean((values - np.interp(record.time, new.time, new.outputs[name]))[common] ** 2))
-        )
-        for name, values in record.outputs.items()
-    }

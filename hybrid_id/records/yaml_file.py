@@ -86,8 +86,21 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
         _refuse_truth_as_number(values, found.model_dump(), "", path)
         return found
     except ValidationError as error:
-        _refuse_other_kind(schema, values, path)
-        _refuse_stranger(schema, values, path)
+        # a file of another kind: one key of each shows it
+        asked = next((kind for kind, key in KINDS.items() if key in schema.model_fields), None)
+        given = next((kind for kind, key in KINDS.items() if key in values), None)
+        if asked and given and KINDS[asked] not in values and KINDS[given] not in schema.model_fields:
+            raise InputError(
+                f"{path} is a {given} file, but a {asked} file is needed here; give that one"
+            ) from None
+        # of a file that has no key that is known, or nearly so, nothing is quoted
+        known = list(schema.model_fields)
+        if not any(
+            key in known or difflib.get_close_matches(str(key), known, n=1) for key in list(values)[:99]
+        ):
+            raise InputError(
+                f"{path} has none of the keys that are read here ({', '.join(known)}); give the right file"
+            ) from None
         faults = _to_tell(error.errors(include_url=False))
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
@@ -153,7 +166,22 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
 def parse_yaml(text: str, path: Path) -> Any:
     """Values of YAML text; ``path`` is for messages. What :func:`read_yaml` refuses is refused before they are made."""
     try:
-        _refuse_excess(text, path)
+        depth = values = 0
+        for event in yaml.parse(text, Loader=Loader):
+            if isinstance(event, yaml.AliasEvent):
+                row = event.start_mark.line + 1
+                raise InputError(f"{path}, row {row}: YAML aliases (*name) are refused; write the value out")
+            values += isinstance(event, yaml.NodeEvent)
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > MOST_DEPTH:
+                row = event.start_mark.line + 1
+                raise InputError(
+                    f"{path}, row {row}: nested more than {MOST_DEPTH} levels deep; correct the brackets"
+                )
+            if values > MAX_VALUES:
+                raise InputError(
+                    f"{path} holds more than {MAX_VALUES} values, so it is no settings file; give the right file"
+                )
         node = yaml.compose(text, Loader=Loader)
         if node is None:
             return None
@@ -166,26 +194,6 @@ def parse_yaml(text: str, path: Path) -> Any:
         row = f", row {mark.line + 1}" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         raise InputError(f"{path}{row}: this is not valid YAML ({problem}); correct it") from None
-
-
-def _refuse_excess(text: str, path: Path) -> None:
-    """Raise InputError at the first alias, and at what is nested deeper or holds more values than any settings do."""
-    depth = values = 0
-    for event in yaml.parse(text, Loader=Loader):
-        if isinstance(event, yaml.AliasEvent):
-            row = event.start_mark.line + 1
-            raise InputError(f"{path}, row {row}: YAML aliases (*name) are refused; write the value out")
-        values += isinstance(event, yaml.NodeEvent)
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > MOST_DEPTH:
-            row = event.start_mark.line + 1
-            raise InputError(
-                f"{path}, row {row}: nested more than {MOST_DEPTH} levels deep; correct the brackets"
-            )
-        if values > MAX_VALUES:
-            raise InputError(
-                f"{path} holds more than {MAX_VALUES} values, so it is no settings file; give the right file"
-            )
 
 
 def _refuse_what_misleads(root: yaml.Node, path: Path) -> None:
@@ -250,23 +258,6 @@ def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) 
     if isinstance(given, list) and isinstance(found, list | tuple):
         for i, (one, other) in enumerate(zip(given, found, strict=False)):
             _refuse_truth_as_number(one, other, f"{key}[{i}]", path)
-
-
-def _refuse_other_kind(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:
-    """Raise InputError where a file of another kind was given: one key of each shows it."""
-    asked = next((kind for kind, key in KINDS.items() if key in schema.model_fields), None)
-    given = next((kind for kind, key in KINDS.items() if key in values), None)
-    if asked and given and KINDS[asked] not in values and KINDS[given] not in schema.model_fields:
-        raise InputError(f"{path} is a {given} file, but a {asked} file is needed here; give that one")
-
-
-def _refuse_stranger(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:
-    """Raise InputError, which says nothing of its contents, where a file has no key that is known, or nearly so."""
-    known = list(schema.model_fields)
-    if not any(key in known or difflib.get_close_matches(str(key), known, n=1) for key in list(values)[:99]):
-        raise InputError(
-            f"{path} has none of the keys that are read here ({', '.join(known)}); give the right file"
-        )
 
 
 def _to_tell(faults: Sequence[Any]) -> list[Any]:

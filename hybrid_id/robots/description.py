@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import Matrix, Vector, constant, constant_vector, scale
+from hybrid_id.robots.rows import Vector, constant, constant_vector, scale
 from hybrid_id.robots.tree import Body, Point, RigidBodyTree, Servo, SpatialInertia, Tie, TreeJoint, frame
 from hybrid_id.robots.walk import walk
 
@@ -47,12 +47,7 @@ def load_tree(path: str | Path) -> RigidBodyTree:
             f"{path}: <option> has a fluid (density or viscosity), which is not simulated; set it to 0."
         )
     mujoco = _mujoco(path)
-    _refuse_flags(path, mujoco, model)
-    return _tree(path, mujoco, model)
-
-
-def _refuse_flags(path: Path, mujoco: Any, model: Any) -> None:
-    """Refuse what <flag> switches off of an engine, but for gravity: the package simulates it all the same."""
+    # all but gravity is simulated whatever a flag switches off
     for word in ("actuation", "spring", "damper", "frictionloss", "clampctrl"):
         flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{word.upper()}", 0)
         if model.opt.disableflags & int(flag):
@@ -60,12 +55,7 @@ def _refuse_flags(path: Path, mujoco: Any, model: Any) -> None:
                 f'{path}: <flag {word}="disable"/> switches off what is simulated here; take the flag out, and what it '
                 "switches off."
             )
-
-
-def _gravity(mujoco: Any, model: Any) -> list[float]:
-    """Acceleration of free fall in the world's axes [m/s^2], three numbers."""
-    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-    return [0.0] * 3 if off else model.opt.gravity.tolist()
+    return _tree(path, mujoco, model)
 
 
 def read_spec(path: Path) -> Any:
@@ -75,7 +65,16 @@ def read_spec(path: Path) -> Any:
         InputError: see :func:`load_tree`.
     """
     mujoco, spec = _parsed(path)
-    _refuse(path, mujoco, spec)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+            own = f"joint '{joint.name}'" if joint.name else "a joint without a name"
+            raise InputError(
+                f"{path}: {own} of body '{joint.parent.name}' is a ball joint, which is not supported; put hinges in "
+                "its place, or take it out where it does not move."
+            )
+    for body in spec.bodies:
+        if body.mass < 0.0:
+            raise InputError(f"{path}: mass of body '{body.name}' is {body.mass:g} kg; give 0 or more.")
     without_missing_meshes(path, mujoco, spec)
     return spec
 
@@ -123,20 +122,6 @@ def _first_line(error: Exception) -> str:
     return plain[:300].rstrip(".") or "it cannot be parsed"
 
 
-def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
-    """Refuse what a tree of hinges and slides cannot be."""
-    for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-            own = f"joint '{joint.name}'" if joint.name else "a joint without a name"
-            raise InputError(
-                f"{path}: {own} of body '{joint.parent.name}' is a ball joint, which is not supported; put hinges in "
-                "its place, or take it out where it does not move."
-            )
-    for body in spec.bodies:
-        if body.mass < 0.0:
-            raise InputError(f"{path}: mass of body '{body.name}' is {body.mass:g} kg; give 0 or more.")
-
-
 def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
     """Take out shapes whose mesh is not there: only a body without an inertia of its own needs them."""
     # a URDF names its meshes as packages do
@@ -178,7 +163,7 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
             start = _after(pose, there)
             found = _joint(path, mujoco, model, j, joint, start)
             joints.append(replace(found, speed_limit=speeds.get(found.name, np.inf)))
-            joint, pose = len(joints) - 1, _inverse(there)
+            joint, pose = len(joints) - 1, (there[0].T, -there[0].T @ there[1])
         held[b] = (joint, pose)
         if joint >= 0:
             bodies.append(_body(mujoco, model, b, joint, pose))
@@ -197,10 +182,11 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
             points[name] = Point(joint, _vector(position), constant(rotation.tolist()))
     if not joints:
         raise InputError(f"{path}: it has no joint that moves; give the description of an arm.")
+    off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     tree = RigidBodyTree(
         tuple(joints),
         tuple(bodies),
-        constant_vector(_gravity(mujoco, model)),
+        constant_vector([0.0] * 3 if off else model.opt.gravity.tolist()),
         points,
         source=str(path.resolve()),
         tied=_bases(path, mujoco, model) | _ties(path, mujoco, model),
@@ -317,42 +303,16 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
     if not name:
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
         raise InputError(f"{path}: a joint of body '{body}' has no name; give it one.")
-    _refuse_signs(path, mujoco, model, j, name)
-    _refuse_actuators(path, mujoco, model, j, name)
-    return TreeJoint(
-        name=name,
-        kind="slide" if slide else "hinge",
-        parent=parent,
-        rotation=constant(rotation.tolist()),
-        position=_vector(position),
-        limits=(low, high) if limited else (-float("inf"), float("inf")),
-        armature=float(model.dof_armature[at]) + _of_actuators(mujoco, model, j, model.actuator_armature),
-        damping=_damping(mujoco, model, j),
-        friction_loss=float(model.dof_frictionloss[at]),
-        stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
-        reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
-        servo=_servo(mujoco, model, j),
-        torque_limit=_torque_limit(mujoco, model, j),
-        **_motor(mujoco, model, j),
-    )
-
-
-def _refuse_signs(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
-    """Refuse a joint whose friction no machine has."""
-    at = int(model.jnt_dofadr[j])
-    damping, dry = _damping(mujoco, model, j), float(model.dof_frictionloss[at])
+    dof = int(model.jnt_dofadr[j])
+    damping, dry = _damping(mujoco, model, j), float(model.dof_frictionloss[dof])
     for word, value in (("damping", damping), ("frictionloss", dry)):
         if value < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
-    for word, further in (("damping", model.dof_dampingpoly[at]), ("stiffness", model.jnt_stiffnesspoly[j])):
+    for word, further in (("damping", model.dof_dampingpoly[dof]), ("stiffness", model.jnt_stiffnesspoly[j])):
         if np.any(further):
             raise InputError(
                 f"{path}: {word} of joint '{name}' is a polynomial, which is not simulated; keep its first number."
             )
-
-
-def _refuse_actuators(path: Path, mujoco: Any, model: Any, j: int, name: str) -> None:
-    """Refuse a second actuator at a joint, which would be dropped, and what of one is not simulated."""
     for i in _acting(mujoco, model, j):
         if np.any(model.actuator_dampingpoly[i]):
             raise InputError(
@@ -388,6 +348,37 @@ def _refuse_actuators(path: Path, mujoco: Any, model: Any, j: int, name: str) ->
                 f"{path}: the actuator of joint '{name}' acts by the angle in another way than a <position> that has "
                 "kp, kv and a gear above 0, and no timeconst, which alone is simulated; make it one, or take it out."
             )
+    # what the actuator that drives it makes of its command, where that or the speed alone makes its force
+    driving, _ = _driving(mujoco, model, j)
+    bias = mujoco.mjtBias
+    motor: dict[str, Any] = {}
+    for i in driving:
+        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
+        at_once = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
+        if not (fixed and at_once):
+            continue
+        if model.actuator_biastype[i] == bias.mjBIAS_NONE:
+            motor = {"gear": float(model.actuator_gear[i][0]), "gain": float(model.actuator_gainprm[i][0])}
+            if model.actuator_ctrllimited[i]:
+                motor["commands"] = tuple(float(end) for end in model.actuator_ctrlrange[i])
+        elif model.actuator_biastype[i] == bias.mjBIAS_AFFINE and _servo(mujoco, model, j) is None:
+            motor = {"by_speed": bool(model.actuator_biasprm[i][2])}
+    return TreeJoint(
+        name=name,
+        kind="slide" if slide else "hinge",
+        parent=parent,
+        rotation=constant(rotation.tolist()),
+        position=_vector(position),
+        limits=(low, high) if limited else (-float("inf"), float("inf")),
+        armature=float(model.dof_armature[at]) + _of_actuators(mujoco, model, j, model.actuator_armature),
+        damping=_damping(mujoco, model, j),
+        friction_loss=float(model.dof_frictionloss[at]),
+        stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
+        reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
+        servo=_servo(mujoco, model, j),
+        torque_limit=_torque_limit(mujoco, model, j),
+        **motor,
+    )
 
 
 def _acts_by_angle(mujoco: Any, model: Any, i: int) -> bool:
@@ -477,25 +468,6 @@ def _damping(mujoco: Any, model: Any, j: int) -> float:
     return own + _of_actuators(mujoco, model, j, model.actuator_damping) + brake
 
 
-def _motor(mujoco: Any, model: Any, j: int) -> dict[str, Any]:
-    """What the actuator that drives a joint makes of its command, where that or the speed alone makes its force."""
-    driving, _ = _driving(mujoco, model, j)
-    bias = mujoco.mjtBias
-    found: dict[str, Any] = {}
-    for i in driving:
-        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
-        at_once = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
-        if not (fixed and at_once):
-            continue
-        if model.actuator_biastype[i] == bias.mjBIAS_NONE:
-            found = {"gear": float(model.actuator_gear[i][0]), "gain": float(model.actuator_gainprm[i][0])}
-            if model.actuator_ctrllimited[i]:
-                found["commands"] = tuple(float(end) for end in model.actuator_ctrlrange[i])
-        elif model.actuator_biastype[i] == bias.mjBIAS_AFFINE and _servo(mujoco, model, j) is None:
-            found = {"by_speed": bool(model.actuator_biasprm[i][2])}
-    return found
-
-
 def _torque_limit(mujoco: Any, model: Any, j: int) -> float:
     """Largest torque [N m or N] that a joint's actuator may give; inf where nothing limits it."""
     least = np.inf
@@ -531,9 +503,8 @@ def _body(mujoco: Any, model: Any, b: int, joint: int, pose: Pose) -> Body:
     axes = _rotation(mujoco, model.body_iquat[b])
     mass, moments = (np.where(x > MASSLESS, x, 0.0) for x in (model.body_mass[b], model.body_inertia[b]))
     about_centre = axes @ np.diag(moments) @ axes.T
-    inertia = SpatialInertia.about_centre(
-        float(mass), constant_vector(model.body_ipos[b]), _numbers(about_centre)
-    )
+    x, y, z = (_vector(row) for row in about_centre)
+    inertia = SpatialInertia.about_centre(float(mass), constant_vector(model.body_ipos[b]), (x, y, z))
     rotation, position = pose
     return Body(_body_name(mujoco, model, b), joint, constant(rotation.tolist()), _vector(position), inertia)
 
@@ -557,15 +528,6 @@ def _rotation(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:
 
 def _after(one: Pose, other: Pose) -> Pose:
     return one[0] @ other[0], one[1] + one[0] @ other[1]
-
-
-def _inverse(pose: Pose) -> Pose:
-    return pose[0].T, -pose[0].T @ pose[1]
-
-
-def _numbers(matrix: np.ndarray) -> Matrix:
-    x, y, z = (_vector(row) for row in matrix)
-    return x, y, z
 
 
 def _vector(values: np.ndarray) -> Vector:

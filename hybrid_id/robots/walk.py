@@ -89,8 +89,10 @@ class _Walk:
         parser, times, included = expat.ParserCreate("utf-8"), [1.0], list[str]()
 
         def start(tag: str, values: dict[str, str]) -> None:
-            if len(times) == 1 and path == self.main:
-                self._root(tag)
+            if len(times) == 1 and path == self.main and tag not in ROOTS:
+                raise InputError(
+                    f"{self.main}: it begins with neither <mujoco> nor <robot>; give an MJCF or URDF file."
+                )
             if len(times) > MOST_DEPTH:
                 raise InputError(
                     f"{path}: elements are nested deeper than {MOST_DEPTH}; give a robot's description."
@@ -119,12 +121,6 @@ class _Walk:
             ) from None
         for name in included:
             self._included(path, name)
-
-    def _root(self, tag: str) -> None:
-        if tag not in ROOTS:
-            raise InputError(
-                f"{self.main}: it begins with neither <mujoco> nor <robot>; give an MJCF or URDF file."
-            )
 
     def _element(self, path: Path, tag: str, values: dict[str, str], times: float) -> None:
         """Count an element, and keep what it says of files."""

@@ -72,7 +72,22 @@ class Arm:
         if tree is not None:
             for seat, joint in zip(self.seats, joints, strict=True):
                 joint.inertia[1].carried = tree.at_zero[seat]
-        self._couple_gears()
+        # which motors turn the joints of a coupled gear; none is without the others
+        seated = dict(zip(self.seats, self.joints, strict=True))
+        for seat, joint in seated.items():
+            if self.tree is None or (gear := self.tree.coupling(seat)) is None:
+                continue
+            if others := [self.tree.names[k] for k in gear.joints if k not in seated]:
+                raise InputError(
+                    f"The motor of {self.tree.names[seat]} is coupled with {', '.join(others)}; take these joints "
+                    "together."
+                )
+            ratios = {k: seated[k].gear_ratio for k in gear.joints}
+            joint.couple(
+                [(seated[k], share) for k, share in gear.motors_of(seat, ratios).items()],
+                [(seated[k], turns) for k, turns in gear.joints_of(seat, ratios).items()],
+                [seated[k] for k in gear.joints],
+            )
         self.contacts = [(key, part) for key, part in components.items() if isinstance(part, FloorContact)]
         self.masses = [
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
@@ -92,7 +107,21 @@ class Arm:
                     f"{part.kind} at '{place}' acts only on a robot whose description the model names; remove it."
                 )
         if tree is not None and len(self.seats) == 1:
-            self._take_alone(tree)
+            # of a joint by itself, the contacts that it moves and what it reads of Carried.groups
+            own, points = self.seats[0], tree.points
+            self._touching = [one for one in self.contacts if tree.carries(own, points[one[1].point].joint)]
+            self._groups = ["load"]
+            if self.tilts or self._touching:
+                self._groups.append("base")
+            if self._touching:
+                self._groups.append("touch")
+            if self.compensations:
+                self._groups.append(WEIGHT)
+            named = {body.name: body.joint for body in tree.bodies}
+            for _, part in self.masses:
+                joint = points[part.point].joint if isinstance(part, Payload) else named[part.point]
+                if joint != own and f"link{joint + 1}" not in self._groups:
+                    self._groups.append(f"link{joint + 1}")
         self._refuse_twice(shared)
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
@@ -129,41 +158,6 @@ class Arm:
                         f"the robot's file brings one at {tree.names[0]} by its gravcomp, so list yours there"
                     )
                 raise InputError(f"{kind} is listed twice{at}; {cure}.")
-
-    def _take_alone(self, tree: RigidBodyTree) -> None:
-        """Find the contacts that a joint by itself moves, and what it reads of :attr:`Carried.groups`."""
-        own, points = self.seats[0], tree.points
-        self._touching = [one for one in self.contacts if tree.carries(own, points[one[1].point].joint)]
-        self._groups = ["load"]
-        if self.tilts or self._touching:
-            self._groups.append("base")
-        if self._touching:
-            self._groups.append("touch")
-        if self.compensations:
-            self._groups.append(WEIGHT)
-        named = {body.name: body.joint for body in tree.bodies}
-        for _, part in self.masses:
-            joint = points[part.point].joint if isinstance(part, Payload) else named[part.point]
-            if joint != own and f"link{joint + 1}" not in self._groups:
-                self._groups.append(f"link{joint + 1}")
-
-    def _couple_gears(self) -> None:
-        """Tell the joints of a coupled gear which motors turn them; of a joint by itself, it refuses that."""
-        seated = dict(zip(self.seats, self.joints, strict=True))
-        for seat, joint in seated.items():
-            if self.tree is None or (gear := self.tree.coupling(seat)) is None:
-                continue
-            if others := [self.tree.names[k] for k in gear.joints if k not in seated]:
-                raise InputError(
-                    f"The motor of {self.tree.names[seat]} is coupled with {', '.join(others)}; take these joints "
-                    "together."
-                )
-            ratios = {k: seated[k].gear_ratio for k in gear.joints}
-            joint.couple(
-                [(seated[k], share) for k, share in gear.motors_of(seat, ratios).items()],
-                [(seated[k], turns) for k, turns in gear.joints_of(seat, ratios).items()],
-                [seated[k] for k in gear.joints],
-            )
 
     def _check_attached(self, key: str, part: Attached) -> None:
         """Refuse a part at a point that is not there, and a mass at a joint that does not carry it."""

@@ -13,26 +13,23 @@ from hybrid_id.components.friction.coulomb import Coulomb
 from hybrid_id.components.friction.viscous import Viscous
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.components.input.torque_command import TorqueCommand
-from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.components.load.arm_gravity import ArmGravity
 from hybrid_id.components.load.constant_torque import ConstantTorque
 from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.load.gravity_compensation import GravityCompensation
-from hybrid_id.components.load.one_link import OneLink, TwoInertias
+from hybrid_id.components.load.one_link import OneLink
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.load.spring import Spring
 from hybrid_id.components.load.two_link import JointCoupling, LinkInertia
-from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.motor.free_rotor import FreeRotor
 from hybrid_id.components.motor.torque_motor import TorqueMotor
 from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.components.transmission.linear_spring import LinearSpring
 from hybrid_id.components.transmission.rigid import Rigid
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.robots.tree import RigidBodyTree, Servo, TreeJoint
 from hybrid_id.systems.chain import System
-from hybrid_id.systems.model_schema import FLAT
+from hybrid_id.systems.model_schema import FLAT, SKELETON
 
 ROTOR_SHARE = 0.1
 """Start of a rotor's inertia at the joint, by the largest inertia that a joint of the arm carries."""
@@ -48,18 +45,7 @@ def one_link(gear_ratio: float = 1.0, *, friction: Component | None = None, vert
         friction: law in place of Coulomb and viscous friction (for example ``AsymmetricStribeck()``).
         vertical: whether gravity acts (``G_l``), q = 0 hanging down.
     """
-    where = "joint1/motor_friction"
-    frictions = [(where, friction)] if friction else [(where, Coulomb()), (where, Viscous())]
-    parts: list[tuple[str, Component]] = [
-        ("joint1/input", Voltage()),
-        ("joint1/motor", DCMotor()),
-        *frictions,
-        ("joint1/transmission", Rigid()),
-        ("joint1/load", OneLink()),
-    ]
-    if vertical:
-        parts.append(("joint1/load", Gravity()))
-    return System([gear_ratio], parts, name="one_link")
+    return _single("one_link", gear_ratio, friction, [("joint1/load", Gravity())] if vertical else [])
 
 
 def one_link_flexible(
@@ -72,19 +58,19 @@ def one_link_flexible(
         friction: motor-side law in place of Coulomb and viscous friction.
         vertical: whether gravity acts (``G_l``), q = 0 hanging down.
     """
-    motor, link = "joint1/motor_friction", "joint1/link_friction"
-    frictions = [(motor, friction)] if friction else [(motor, Coulomb()), (motor, Viscous())]
-    parts: list[tuple[str, Component]] = [
-        ("joint1/input", Voltage()),
-        ("joint1/motor", DCMotor()),
-        *frictions,
-        ("joint1/transmission", LinearSpring()),
-        (link, Viscous()),
-        ("joint1/load", TwoInertias()),
-    ]
-    if vertical:
-        parts.append(("joint1/load", Gravity()))
-    return System([gear_ratio], parts, FLAT_NAMES["one_link_flexible"], name="one_link_flexible")
+    more: list[tuple[str, Component]] = [("joint1/link_friction", Viscous())]
+    more += [("joint1/load", Gravity())] if vertical else []
+    return _single("one_link_flexible", gear_ratio, friction, more)
+
+
+def _single(
+    name: str, gear_ratio: float, friction: Component | None, more: Sequence[tuple[str, Component]]
+) -> System:
+    """One joint: what its system always has, friction at the motor, and more."""
+    frictions = [friction] if friction else [Coulomb(), Viscous()]
+    parts = [(where, kind()) for where, kind in SKELETON[name]]
+    parts += [("joint1/motor_friction", law) for law in frictions]
+    return System([gear_ratio], [*parts, *more], FLAT_NAMES[name], name=name)
 
 
 def two_link(gear_ratio: tuple[float, float] = (1.0, 1.0), *, vertical: bool = False) -> System:
@@ -97,16 +83,9 @@ def two_link(gear_ratio: tuple[float, float] = (1.0, 1.0), *, vertical: bool = F
         gear_ratio: motor turns per joint turn of both joints.
         vertical: whether gravity acts (``G_l1``, ``G_l2``), stretched and hanging down at q = 0.
     """
-    parts: list[tuple[str, Component]] = []
-    for joint, inertia in (("joint1", 1.0), ("joint2", 0.15)):
-        parts += [
-            (f"{joint}/input", Voltage()),
-            (f"{joint}/motor", DCMotor()),
-            (f"{joint}/motor_friction", Coulomb()),
-            (f"{joint}/motor_friction", Viscous()),
-            (f"{joint}/transmission", Rigid()),
-            (f"{joint}/load", LinkInertia(P=inertia)),
-        ]
+    parts = [(where, kind()) for where, kind in SKELETON["two_link"]]
+    parts += [(f"joint{n}/motor_friction", law()) for n in (1, 2) for law in (Coulomb, Viscous)]
+    parts += [(f"joint{n}/load", LinkInertia(P=inertia)) for n, inertia in ((1, 1.0), (2, 0.15))]
     parts.append(("joint1/load", JointCoupling(P_3=0.15, P_4=0.07)))
     if vertical:
         parts.append(("joint1/load", ArmGravity(G_l1=10.0, G_l2=3.0)))

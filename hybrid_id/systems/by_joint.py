@@ -240,7 +240,14 @@ def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Data
             {n: v for n, v in values.items() if number_of(n) in own}
             for values in (record.inputs, record.outputs)
         )
-        records.append(replace(record, inputs={**given, **_others(record, system, joints)}, outputs=measured))
+        motions = {}
+        for k in range(len(system.joints)):
+            if k in joints:
+                continue
+            for channel, rows in zip(MOTION, measured_motion(record, system, k, THRESHOLD), strict=True):
+                middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
+                motions[f"{channel}{k + 1}"] = middle
+        records.append(replace(record, inputs={**given, **motions}, outputs=measured))
     motion = tuple(
         Channel(f"{name}{k + 1}", unit)
         for k, other in enumerate(_tree(system).joints)
@@ -333,17 +340,6 @@ def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
         for one in dataset.records
     )
     return replace(dataset, records=tuple(records))
-
-
-def _others(record: Record, system: System, joints: Sequence[int]) -> Mapping[str, np.ndarray]:
-    found = {}
-    for k in range(len(system.joints)):
-        if k in joints:
-            continue
-        for channel, rows in zip(MOTION, measured_motion(record, system, k, THRESHOLD), strict=True):
-            middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
-            found[f"{channel}{k + 1}"] = middle
-    return found
 
 
 def measured_motion(

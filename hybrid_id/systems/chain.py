@@ -258,10 +258,9 @@ class System(nn.Module):
 
     def rest(self, x: Rows, u: Channels, p: Views, directions: Directions) -> Rest:
         """What may hold the speeds whose direction is 0: the balances with their friction either way."""
-        known = list(zip((x[row] for row in self.speed_rows), directions, strict=True))
-        magnitudes = [v.abs() if d is None else (d * v).clamp_min(0.0) for v, d in known]
-        ahead = [((v if d is None else d) >= 0).to(v.dtype) for v, d in known]
-        back = [((v if d is None else d) > 0).to(v.dtype) for v, d in known]
+        speeds = [x[row] for row in self.speed_rows]
+        magnitudes, back = _along(speeds, directions)
+        ahead = [((v if d is None else d) >= 0).to(v.dtype) for v, d in zip(speeds, directions, strict=True)]
         return Rest(self.balances(x, u, p, magnitudes, ahead), self.balances(x, u, p, magnitudes, back))
 
     @torch.no_grad()
@@ -283,10 +282,9 @@ class System(nn.Module):
         """
         u = self.hold(u, p)
         signs = self.directions(x, u, p) if directions is None else directions
-        each = list(zip((x[row] for row in self.speed_rows), signs, strict=True))
-        magnitudes = [v.abs() if sign is None else (sign * v).clamp_min(0.0) for v, sign in each]
-        forwards = [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
-        balances = self.balances(x, u, p, magnitudes, forwards, transmitted=True)
+        balances = self.balances(
+            x, u, p, *_along([x[row] for row in self.speed_rows], signs), transmitted=True
+        )
         found = balances.accelerations(signs, held=True)
         reactions, through = balances.reactions(found), dict[int, Tensor]()
         rotors = [self.speed_rows.index(joint.positions[0] + 1) for joint in self.joints]
@@ -319,11 +317,8 @@ class System(nn.Module):
         speeds = [x[row] for row in self.speed_rows]
         fixed = [None] * len(speeds) if directions is None else list(directions)
         signs = [torch.tanh(v / width) for v in speeds] if directions is None else fixed
-        each = list(zip(speeds, fixed, strict=True))
-        magnitudes = [v.abs() if sign is None else (sign * v).clamp_min(0.0) for v, sign in each]
-        forwards = [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
         rates = [torch.zeros_like(x[0])] * len(x)
-        found = self.balances(x, u, p, magnitudes, forwards)
+        found = self.balances(x, u, p, *_along(speeds, fixed))
         found = found.accelerations(signs, held=directions is not None)
         for row, acceleration in zip(self.speed_rows, found, strict=True):
             rates[row - 1], rates[row] = x[row], acceleration
@@ -380,6 +375,13 @@ class System(nn.Module):
             torques = self.link_torques(x, u, p) if torques is None else torques
             found.append(joint.sensing.read(channel, torques[number], 0.0, x, p))
         return found
+
+
+def _along(speeds: Rows, directions: Directions) -> tuple[list[Tensor], list[Tensor]]:
+    """Size of each speed in its direction of dry friction, and whether that is forward; see :meth:`Joint.balances`."""
+    each = list(zip(speeds, directions, strict=True))
+    magnitudes = [v.abs() if sign is None else (sign * v).clamp_min(0.0) for v, sign in each]
+    return magnitudes, [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
 
 
 def _rewire(system: nn.Module, _: object) -> None:

@@ -19,7 +19,6 @@ from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, linear_unit
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 from hybrid_id.robots.description import load_tree
-from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.builders import FLAT_NAMES, joint_names, robot
 from hybrid_id.systems.by_joint import together
 from hybrid_id.systems.chain import System, acts_along, check_place
@@ -103,7 +102,24 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
             one = _of_turning(one)
         listed.append(one.model_copy(update={"place": f"joint{number + 1}/{place}"}))
     file = file.model_copy(update={"components": listed, "gear_ratio": ratios})
-    usual = _with_servos(robot(tree, ratios), tree, file, path)
+    usual = robot(tree, ratios)
+    servos = {name: servo for name, servo in file.servos.items() if name != EVERY_JOINT}
+    if EVERY_JOINT in file.servos:
+        servos = {name: file.servos[EVERY_JOINT] for name in tree.names} | servos
+    for name, servo in servos.items():
+        if name not in tree.names:
+            near = close_match(name, tree.names)
+            raise InputError(
+                f"{path}: servos: the robot has no joint '{name}'{near}; it has {', '.join(tree.names)}."
+            )
+        if servo.preset not in SERVOS:
+            raise InputError(f"{path}: servo '{servo.preset}' is not known; use one of {', '.join(SERVOS)}.")
+        number = tree.names.index(name)
+        own = tree.joints[number].servo
+        goals = None if own is None else own.goals  # limits of goals stay the robot's
+        loop, friction = drive_of(SERVOS[servo.preset], servo.p, ratios[number], servo.voltage, goals)
+        usual = usual.with_component(f"joint{number + 1}/input", loop)
+        usual = usual.with_component(f"joint{number + 1}/motor_friction", friction)
     parts: Parts = {
         (key.rsplit("/", 1)[0], cast(Component, part).kind): dict(cast(Component, part).specs)
         for key, part in usual.components.items()
@@ -130,28 +146,6 @@ def _refuse_odd_ratios(ratios: Sequence[float], slides: Sequence[bool], path: st
             raise InputError(
                 f"{path}: gear_ratio {ratio:g} is none of a drive; give the {what}, a number from {low:g} to {high:g}."
             )
-
-
-def _with_servos(system: System, tree: RigidBodyTree, file: ModelFile, path: str) -> System:
-    """The robot with the servos that the file names, at one joint or at ``all``; limits of goals stay the robot's."""
-    every = {name: entry for name, entry in file.servos.items() if name != EVERY_JOINT}
-    if EVERY_JOINT in file.servos:
-        every = {name: file.servos[EVERY_JOINT] for name in tree.names} | every
-    for name, entry in every.items():
-        if name not in tree.names:
-            near = close_match(name, tree.names)
-            raise InputError(
-                f"{path}: servos: the robot has no joint '{name}'{near}; it has {', '.join(tree.names)}."
-            )
-        if entry.preset not in SERVOS:
-            raise InputError(f"{path}: servo '{entry.preset}' is not known; use one of {', '.join(SERVOS)}.")
-        number = tree.names.index(name)
-        own, ratio = tree.joints[number].servo, system.gear_ratio[number]
-        goals = None if own is None else own.goals
-        loop, friction = drive_of(SERVOS[entry.preset], entry.p, ratio, entry.voltage, goals)
-        system = system.with_component(f"joint{number + 1}/input", loop)
-        system = system.with_component(f"joint{number + 1}/motor_friction", friction)
-    return system
 
 
 def _built(parts: Parts, file: ModelFile) -> list[tuple[str, Component]]:
@@ -183,7 +177,35 @@ def _known(file: ModelFile, path: str) -> System:
     _refuse_odd_ratios(file.gear_ratio, [False] * joints, path)
     parts: Parts = {(where, part.kind): {} for where, part in SKELETON[file.system]}
     _add_components(parts, file, path)
-    _add_parameters(parts, file, path)
+    # a component that is not there yet comes with its parameter; what the file leaves out of it is 0 and held
+    names, listed = FLAT[file.system], set(parts)
+    replaced: dict[tuple[str, str], list[str]] = {}
+    for name in file.parameters:
+        if name not in names:
+            known = ", ".join(names)
+            raise InputError(f"{path}: parameter '{name}' is not known for {file.system}; it knows {known}.")
+        where, kind_name, _ = names[name]
+        if REGISTRY[kind_name].single and (where, kind_name) not in parts:
+            replaced.setdefault((where, kind_name), []).append(name)
+    if replaced:
+        which = " and ".join(
+            f"{', '.join(given)} of {kind_name} at {where}" for (where, kind_name), given in replaced.items()
+        )
+        raise InputError(f"{path}: 'components' replaces what has the parameters {which}; remove them.")
+    for name, entry in file.parameters.items():
+        where, kind_name, symbol = names[name]
+        kind = REGISTRY[kind_name]
+        values = parts.setdefault((where, kind_name), {})
+        if symbol in values:
+            raise InputError(
+                f"{path}: parameter '{name}' is given under 'parameters' and as {kind_name}.{symbol} under "
+                "'components'; keep one of them."
+            )
+        values[symbol] = _bounded(kind, symbol, entry, f"{path}: {name}")
+    for key in set(parts) - listed:
+        for symbol, declared in REGISTRY[key[1]].declared.items():
+            if declared.estimate and symbol not in parts[key]:
+                parts[key][symbol] = replace(declared.bounded(0.0), estimate=False)
     if (file.gravity == "vertical") != any(kind in WEIGHTS for _, kind in parts):
         name = "G_l" if joints == 1 else "G_l1 and G_l2"
         verb = (
@@ -239,41 +261,6 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
             symbol: _bounded(kind, symbol, value, f"{path}: {entry.place} {entry.kind}.{symbol}")
             for symbol, value in entry.parameters.items()
         }
-
-
-def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
-    """Put the flat parameters into their components.
-
-    A component that is not there yet comes with its parameter; what the file leaves out of it is 0 and held.
-    """
-    names, listed = FLAT[file.system], set(parts)
-    replaced: dict[tuple[str, str], list[str]] = {}
-    for name in file.parameters:
-        if name not in names:
-            known = ", ".join(names)
-            raise InputError(f"{path}: parameter '{name}' is not known for {file.system}; it knows {known}.")
-        where, kind_name, _ = names[name]
-        if REGISTRY[kind_name].single and (where, kind_name) not in parts:
-            replaced.setdefault((where, kind_name), []).append(name)
-    if replaced:
-        which = " and ".join(
-            f"{', '.join(given)} of {kind_name} at {where}" for (where, kind_name), given in replaced.items()
-        )
-        raise InputError(f"{path}: 'components' replaces what has the parameters {which}; remove them.")
-    for name, entry in file.parameters.items():
-        where, kind_name, symbol = names[name]
-        kind = REGISTRY[kind_name]
-        values = parts.setdefault((where, kind_name), {})
-        if symbol in values:
-            raise InputError(
-                f"{path}: parameter '{name}' is given under 'parameters' and as {kind_name}.{symbol} under "
-                "'components'; keep one of them."
-            )
-        values[symbol] = _bounded(kind, symbol, entry, f"{path}: {name}")
-    for key in set(parts) - listed:
-        for symbol, declared in REGISTRY[key[1]].declared.items():
-            if declared.estimate and symbol not in parts[key]:
-                parts[key][symbol] = replace(declared.bounded(0.0), estimate=False)
 
 
 def _placed_kind(entry: ComponentEntry, k: int, joints: Sequence[str], path: str) -> type[Component]:
@@ -349,7 +336,32 @@ def describe_model(system: System, folder: Path | None = None) -> dict[str, Any]
     if system.whole:
         system = together(system)
     if system.tree is not None:
-        return _described_robot(system, system.tree, folder)
+        if not system.tree.source:
+            raise InputError(
+                "a robot that was read from no file cannot be written to a model file; load its MJCF or URDF"
+            )
+        components = []
+        for key, part in system.components.items():
+            joint, place, _ = key.split("/")
+            units = {info.symbol: info.unit for info in system.table if info.component == key}
+            components.append(
+                _component(f"{system.tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part), units)
+            )
+        file = system.tree.source if folder is None else seen_from(folder, system.tree.source)
+        described = {"file": file} | ({"hold": dict(system.tree.held)} if system.tree.held else {})
+        couplings = [
+            {
+                "joints": [system.tree.names[k] for k in one.joints],
+                "matrix": [list(row) for row in one.matrix],
+            }
+            for one in system.tree.couplings
+        ]
+        return {
+            "robot": described,
+            "gear_ratio": list(system.gear_ratio),
+            **({"couplings": couplings} if couplings else {}),
+            "components": components,
+        }
     joints = {where.split("/")[0] for where, _ in SKELETON.get(system.name, ())}
     if len(joints) != len(system.joints):
         raise InputError(
@@ -377,32 +389,6 @@ def describe_model(system: System, folder: Path | None = None) -> dict[str, Any]
         "parameters": {name: parameters[name] for name in order},
     }
     return content | ({"components": components} if components else {})
-
-
-def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -> dict[str, Any]:
-    if not tree.source:
-        raise InputError(
-            "a robot that was read from no file cannot be written to a model file; load its MJCF or URDF"
-        )
-    components = []
-    for key, part in system.components.items():
-        joint, place, _ = key.split("/")
-        units = {info.symbol: info.unit for info in system.table if info.component == key}
-        components.append(
-            _component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part), units)
-        )
-    file = tree.source if folder is None else seen_from(folder, tree.source)
-    described = {"file": file} | ({"hold": dict(tree.held)} if tree.held else {})
-    couplings = [
-        {"joints": [tree.names[k] for k in one.joints], "matrix": [list(row) for row in one.matrix]}
-        for one in tree.couplings
-    ]
-    return {
-        "robot": described,
-        "gear_ratio": list(system.gear_ratio),
-        **({"couplings": couplings} if couplings else {}),
-        "components": components,
-    }
 
 
 def seen_from(folder: Path, file: str) -> str:

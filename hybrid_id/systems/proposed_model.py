@@ -282,42 +282,6 @@ def _robot(
     model = ProposedModel({"robot": entry})
     order = ", ".join(drive.joint for drive in drives)
     model.why["robot"] = f"joints from the base outwards, as they are numbered: {order}"
-    _ask_of_held(model, tree, rest)
-    ratios = _ratios(sheet, len(drives))
-    if ratios:
-        model.values["gear_ratio"], model.why["gear_ratio"] = ratios, "motor's sheet"
-    else:
-        model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
-    still = tree.holding(rest) if rest else tree
-    _ask_of_motors(model, drives, still.joints, geared=bool(ratios))
-    servos: dict[str, dict[str, Any]] = {}
-    placeholders: dict[str, list[str]] = {}
-    late: list[str] = []
-    joints = started(still)
-    for k, (drive, joint) in enumerate(zip(drives, joints, strict=True)):
-        ratio = ratios[k] if ratios else 1.0
-        start = _start(drive, sheet, ratio, (still.at_zero[k] + joint.armature) / ratio**2)
-        other_gains = _other_gains(drive, joint, _lag_of_same(drives, joints, joint))
-        own = joint.servo is not None and other_gains is None
-        if drive.command == "goal" and sheet.servo:
-            servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or REGISTER}
-            servos[drive.joint] |= {"voltage": sheet.voltage} if sheet.voltage else {}
-            own, other_gains = True, None
-        if other_gains:
-            late.append(drive.joint)
-            _add(model, [other_gains])
-        _add(model, _parts(drive.joint, drive, start, own or bool(other_gains), sheet, True))
-        for name in () if drive.command == "goal" and (own or other_gains) else GAINS.get(drive.command, ()):
-            if name not in start.priors:
-                placeholders.setdefault(name, []).append(drive.joint)
-    if servos:
-        model.values["servos"], model.why["servos"] = servos, "motor's sheet"
-    _ask_of_gains(model, late, placeholders, register=bool(servos) and sheet.p is None)
-    return model
-
-
-def _ask_of_held(model: ProposedModel, tree: RigidBodyTree, rest: Mapping[str, float]) -> None:
-    """Say which joints are held where, and ask about them, about a floating base and about a weight that is held."""
     stand = {name: f"{name} at {value:.4g}" for name, value in rest.items()}
     lone = [name for name in rest if name not in tree.tied]
     tied, bases = ([name for name in tree.tied if (name in tree.names) == known] for known in (True, False))
@@ -347,15 +311,15 @@ def _ask_of_held(model: ProposedModel, tree: RigidBodyTree, rest: Mapping[str, f
             f"Does the base {bases[0]} stand still in all logs, turned as the robot's file draws it? It is taken so; "
             "leave out logs in which it moves."
         )
-
-
-def _ask_of_motors(
-    model: ProposedModel, drives: Sequence[DriveFacts], joints: Sequence[TreeJoint], *, geared: bool
-) -> None:
-    """Ask what the commands are of which the robot's file makes torques; whether the gears are known is ``geared``."""
-    gears = {joint.name: joint.gear for joint in joints if joint.gear not in (0.0, 1.0)}
-    if gears and not geared:
-        line = ", ".join(f"{abs(gears.get(joint.name, 1.0)):g}" for joint in joints)
+    ratios = _ratios(sheet, len(drives))
+    if ratios:
+        model.values["gear_ratio"], model.why["gear_ratio"] = ratios, "motor's sheet"
+    else:
+        model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
+    still = tree.holding(rest) if rest else tree
+    gears = {joint.name: joint.gear for joint in still.joints if joint.gear not in (0.0, 1.0)}
+    if gears and not bool(ratios):
+        line = ", ".join(f"{abs(gears.get(joint.name, 1.0)):g}" for joint in still.joints)
         other = (
             " A minus turns the joint the other way: it is the 'scale: -1' of its command in dataset.yaml."
         )
@@ -365,7 +329,7 @@ def _ask_of_motors(
             + (other if min(gears.values()) < 0.0 else ""),
             f"gear_ratio: [{line}]",
         )
-    torques = [joint for drive, joint in zip(drives, joints, strict=True) if drive.command == "torque"]
+    torques = [joint for drive, joint in zip(drives, still.joints, strict=True) if drive.command == "torque"]
     if gains := {joint.name: joint.gain for joint in torques if joint.gain != 1.0}:
         model.ask(
             f"What are the commands that the robot's file multiplies by a gain ({_at_joints(gains)}): torques, volts, "
@@ -377,6 +341,30 @@ def _ask_of_motors(
             f"Are the commands of {', '.join(braked)} torques? They are taken as such, without the brake by the speed "
             "that the actuators in the robot's file have (<velocity>, or a back-EMF); else log torque or voltage."
         )
+    servos: dict[str, dict[str, Any]] = {}
+    placeholders: dict[str, list[str]] = {}
+    late: list[str] = []
+    joints = started(still)
+    for k, (drive, joint) in enumerate(zip(drives, joints, strict=True)):
+        ratio = ratios[k] if ratios else 1.0
+        start = _start(drive, sheet, ratio, (still.at_zero[k] + joint.armature) / ratio**2)
+        other_gains = _other_gains(drive, joint, _lag_of_same(drives, joints, joint))
+        own = joint.servo is not None and other_gains is None
+        if drive.command == "goal" and sheet.servo:
+            servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or REGISTER}
+            servos[drive.joint] |= {"voltage": sheet.voltage} if sheet.voltage else {}
+            own, other_gains = True, None
+        if other_gains:
+            late.append(drive.joint)
+            _add(model, [other_gains])
+        _add(model, _parts(drive.joint, drive, start, own or bool(other_gains), sheet, True))
+        for name in () if drive.command == "goal" and (own or other_gains) else GAINS.get(drive.command, ()):
+            if name not in start.priors:
+                placeholders.setdefault(name, []).append(drive.joint)
+    if servos:
+        model.values["servos"], model.why["servos"] = servos, "motor's sheet"
+    _ask_of_gains(model, late, placeholders, register=bool(servos) and sheet.p is None)
+    return model
 
 
 def _at_joints(values: Mapping[str, float]) -> str:

@@ -43,9 +43,20 @@ def write_csv(folder: Path, motions, columns, records: int = RECORDS) -> Path:
 
 
 def written(folder: Path) -> tuple[dict, dict]:
-    return yaml.safe_load((folder / "dataset.yaml").read_text()), yaml.safe_load(
-        (folder / "model.yaml").read_text()
-    )
+    data, model = (yaml.safe_load((folder / f"{kind}.yaml").read_text()) for kind in ("dataset", "model"))
+    return data, model
+
+
+def proposed(run, folder: Path, *options: object) -> tuple[dict, dict, str]:
+    """What `init` writes for logs, and what it says, in one line."""
+    done = run("init", folder, *options)
+    assert done.code == 0, done.err
+    return *written(folder), " ".join(done.out.split())
+
+
+def columns_of(data: dict) -> dict[str, str]:
+    """The files' column of each channel."""
+    return {name: one if isinstance(one, str) else one["column"] for name, one in data["columns"].items()}
 
 
 MS = {
@@ -58,9 +69,7 @@ MS = {
 def test_degrees_and_milliseconds_pass_check(run, tmp_path: Path, motions) -> None:
     folder = write_csv(tmp_path / "bench", motions, MS)
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    done = run("init", folder)
-    assert done.code == 0, done.err
-    data, model = written(folder)
+    data, model, words = proposed(run, folder)
     assert data["inputs"] == [{"name": "u1", "unit": "V"}]
     assert data["outputs"] == [{"name": "q_m1", "unit": "deg"}]
     assert data["columns"]["t"] == {"column": "time", "unit": "ms"}
@@ -69,7 +78,7 @@ def test_degrees_and_milliseconds_pass_check(run, tmp_path: Path, motions) -> No
     assert model["parameters"]["P_m2"]["nominal"] == pytest.approx(
         rigid_drive().parameter("P_m2").spec.value, rel=0.1
     )
-    assert "gear_ratio" in done.out and "question" in done.out and "gravity" not in model
+    assert "gear_ratio" in words and "question" in words and "gravity" not in model
     assert {name: (folder / name).read_bytes() for name in before} == before
     checked = run("check", folder)
     assert checked.code == 0, checked.err
@@ -80,10 +89,8 @@ def test_a_weight_that_the_logs_show_is_in_the_model(run, tmp_path: Path) -> Non
     voltages = [multisine(seed, samples=1000, amplitude=2.0 + seed, rest=1) for seed in range(RECORDS)]
     records = make_records(drive, voltages, noise={"q_m1": 1e-3})
     hanging = [(r.time, r.inputs["u1"], r.outputs["q_m1"]) for r in records]
-    done = run("init", write_csv(tmp_path / "x", hanging, MS))
-    assert done.code == 0, done.err
-    _, model = written(tmp_path / "x")
-    assert model["gravity"] == "vertical" and "gravity that pulls" in done.out
+    _, model, words = proposed(run, write_csv(tmp_path / "x", hanging, MS))
+    assert model["gravity"] == "vertical" and "gravity that pulls" in words
     found = {name: entry["nominal"] for name, entry in model["parameters"].items()}
     assert found["G_l"] / found["J"] == pytest.approx(2e-2 / 2e-5, rel=0.3) and abs(found["q_0"]) < 0.1
     assert run("check", tmp_path / "x").code == 0
@@ -151,9 +158,7 @@ def test_columns_without_names_are_asked_about(run, tmp_path: Path, motions) -> 
     done = run("init", write_csv(tmp_path / "x", motions, columns), "--json")
     assert done.code == 0, done.err
     data, _ = written(tmp_path / "x")
-    assert {name: entry["column"] for name, entry in data["columns"].items()} == {
-        "t": "a", "u1": "d", "q_m1": "b", "v_m1": "c",
-    }  # fmt: skip
+    assert columns_of(data) == {"t": "a", "u1": "d", "q_m1": "b", "v_m1": "c"}
     asked = " ".join(one["question"] for one in json.loads(done.out)["questions"])
     assert "'b'" in asked and "'d'" in asked
 
@@ -173,11 +178,9 @@ def test_gaps_are_bridged_or_cut_and_said(run, tmp_path: Path, motions) -> None:
         write_csv(folder / "part", [[signal[rows] for signal in motions[k]]], MS)
         (folder / "part" / "run1.csv").rename(folder / f"run{k}.csv")
     (folder / "part").rmdir()
-    done = run("init", folder)
-    assert done.code == 0, done.err
-    data, _ = written(folder)
+    data, _, words = proposed(run, folder)
     assert data["resample"] == {"max_gap": 7} and data["records"][1]["between"] == [0.8, 1.998]
-    assert "bridged" in done.out
+    assert "bridged" in words
     assert run("check", folder).code == 0
 
 
@@ -188,9 +191,8 @@ def test_the_command_that_acts_is_taken_of_several(run, tmp_path: Path, motions)
         "plant_input": MS["plant_voltage"],
     }
     del columns["plant_voltage"]
-    done = run("init", write_csv(tmp_path / "x", motions, columns))
-    assert written(tmp_path / "x")[0]["columns"]["u1"]["column"] == "plant_input"
-    assert "control" in done.out
+    data, _, words = proposed(run, write_csv(tmp_path / "x", motions, columns))
+    assert columns_of(data)["u1"] == "plant_input" and "control" in words
 
 
 @pytest.mark.parametrize(
@@ -235,34 +237,45 @@ def swing(seed: int, samples: int = 600, step: float = 0.02) -> tuple[np.ndarray
     return t, goal, angle
 
 
+def write_logs(folder: Path, columns: dict, robot: str = "", logs: int = 3) -> Path:
+    """Logs whose columns are functions of time, goals and angles ``(T, 2)``, and beside their folder the robot."""
+    pytest.importorskip("mujoco")
+    folder.mkdir(parents=True, exist_ok=True)
+    if robot:
+        (folder.parent / "arm.xml").write_text(robot)
+    for seed in range(logs):
+        table = np.column_stack([values(*swing(seed)) for values in columns.values()])
+        header = ",".join(columns)
+        np.savetxt(folder / f"run{seed}.csv", table, "%.9g", header=header, comments="", delimiter=",")
+    return folder
+
+
+def pair(name: str, k: int, factor: float = 1.0) -> dict:
+    """Angle and goal of the k-th joint."""
+    return {
+        f"{name}.pos": lambda t, goal, angle: factor * angle[:, k],
+        f"{name}.goal": lambda t, goal, angle: factor * goal[:, k],
+    }
+
+
+TIME = {"time": lambda t, goal, angle: t}
+BOTH = TIME | pair("elbow_flex", 1, 180 / np.pi) | pair("shoulder_pan", 0, 180 / np.pi)
+FOLLOWING = ARM.format(actuators=ACTUATORS)
+
+
 @pytest.mark.parametrize("actuators", [ACTUATORS, ""])
 def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
-    pytest.importorskip("mujoco")
-    robot = tmp_path / "arm.xml"
-    robot.write_text(ARM.format(actuators=actuators))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    names = ["elbow_flex.pos", "shoulder_pan.pos", "elbow_flex.goal", "shoulder_pan.goal"]
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        table = np.column_stack([t, np.degrees(angle[:, ::-1]), np.degrees(goal[:, ::-1])])
-        np.savetxt(
-            folder / f"run{seed}.csv", table, header=",".join(["time", *names]), comments="", delimiter=","
-        )
-    done = run("init", folder, "--robot", robot)
-    assert done.code == 0, done.err
-    data, model = written(folder)
-    assert data["columns"]["q_a1"]["column"] == "shoulder_pan.pos"
-    assert data["columns"]["goal2"]["column"] == "elbow_flex.goal"
+    folder = write_logs(tmp_path / "logs", BOTH, ARM.format(actuators=actuators))
+    data, model, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert columns_of(data)["q_a1"] == "shoulder_pan.pos" and columns_of(data)["goal2"] == "elbow_flex.goal"
     assert {one["unit"] for one in (*data["inputs"], *data["outputs"])} == {"deg"}
-    assert "'shoulder_pan.pos', 'elbow_flex.pos'" in done.out  # percent or degrees: one question for both
+    assert "'shoulder_pan.pos', 'elbow_flex.pos'" in words  # percent or degrees: one question for both
     assert "times the range of shoulder_pan" in (folder / "dataset.yaml").read_text()
     assert model["robot"]["file"] == "../arm.xml"
     kinds = [one["kind"] for one in model.get("components", [])]
     assert kinds == ([] if actuators else ["position_servo"] * 2)
-    assert re.search(r"lag of goal1 +0\.1[12]\d* s +yes +distance of angle and goal over the speed", done.out)
-    checked = run("check", folder)
-    assert checked.code == 0, checked.err
+    assert re.search(r"lag of goal1 0\.1[12]\d* s yes distance of angle and goal over the speed", words)
+    assert run("check", folder).code == 0
 
 
 @pytest.mark.parametrize(
@@ -275,205 +288,192 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
 def test_numbers_from_zero_goals_before_currents_and_units_of_columns_named_alike(
     run, tmp_path: Path, angle: str, goal: str, others: tuple[str, str]
 ) -> None:
-    pytest.importorskip("mujoco")
+    columns = dict(TIME)
+    for k in (0, 1):
+        columns[angle.format(k)] = lambda t, g, q, k=k: q[:, k]
+        columns[goal.format(k)] = lambda t, g, q, k=k: g[:, k]
+        columns |= {other.format(k): lambda t, g, q, k=k: (g - q)[:, k] for other in others}
+    text = FOLLOWING.replace("-1.9 1.9", "-60 60")  # degrees would be as likely
     robot = tmp_path / "arm.xml"
-    text = ARM.format(actuators=ACTUATORS).replace("-1.9 1.9", "-60 60")  # degrees would be as likely
-    robot.write_text(text.replace("shoulder_pan", "joint1").replace("elbow_flex", "joint2"))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    names = [name.format(k) for name in (angle, goal, *others) for k in range(2)]
-    for seed in range(3):
-        t, wanted, found = swing(seed)
-        table = np.column_stack([t, found, wanted, wanted - found, wanted - found])
-        header = ",".join(["time", *names])
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", robot)
-    assert done.code == 0, done.err
-    data, _ = written(folder)
-    chosen = {one: data["columns"][one] for one in ("q_a1", "q_a2", "goal1", "goal2")}
-    columns = [one["column"] if isinstance(one, dict) else one for one in chosen.values()]
-    assert columns == [angle.format(0), angle.format(1), goal.format(0), goal.format(1)]
-    words = " ".join(done.out.split())
+    numbered = text.replace("shoulder_pan", "joint1").replace("elbow_flex", "joint2")
+    folder = write_logs(tmp_path / "logs", columns, numbered)
+    data, _, words = proposed(run, folder, "--robot", robot)
+    chosen = [columns_of(data)[one] for one in ("q_a1", "q_a2", "goal1", "goal2")]
+    assert chosen == [angle.format(0), angle.format(1), goal.format(0), goal.format(1)]
     assert f"that of '{angle.format(1)}', which is named alike, and" in words
     assert "In which unit" not in words and "those of joint" not in words
     robot.write_text(text)
-    done = run("init", folder, "--robot", robot, "--force")
     asked = "Are the columns of '0', '1' those of joint shoulder_pan, elbow_flex, in this order?"
-    assert asked in " ".join(done.out.split())
+    assert asked in proposed(run, folder, "--robot", robot, "--force")[2]
 
 
-def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("clear", [True, False])
+def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: Path, clear: bool) -> None:
     """A topic of joint states is sorted by name, a command by the robot; a controller's errors drive nothing."""
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
-    for clear in (True, False):
-        folder = tmp_path / f"logs_{clear}"
-        folder.mkdir()
-        names = ["/joint_states/elbow_flex/position", "/joint_states/shoulder_pan/position"]
-        names += [f"/forward_controller/commands/data[{k}]" for k in (0, 1)]
-        names += [f"/forward_controller/error/positions[{k}]" for k in (0, 1)]
-        for seed in range(3):
-            t, goal, angle = swing(seed)
-            told = goal if clear else np.sign(np.random.default_rng(seed).normal(size=goal.shape))
-            table = np.column_stack([t, angle[:, ::-1], told, goal - angle])
-            header = ",".join(["__time", *names])
-            np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-        done = run("init", folder, "--robot", tmp_path / "arm.xml")
-        assert done.code == 0, done.err
-        entries = written(folder)[0]["columns"].items()
-        columns = {name: one if isinstance(one, str) else one["column"] for name, one in entries}
-        assert set(columns.values()) == {"__time", *names[:4]}
-        for k, name in enumerate(("shoulder_pan", "elbow_flex")):
-            own = {column for channel, column in columns.items() if channel.endswith(str(k + 1))}
-            assert own == {names[2 + k], f"/joint_states/{name}/position"}
-        words = " ".join(done.out.split())
-        assert (
-            "shoulder_pan, elbow_flex yes each is the one that the angle of its joint follows" in words
-        ) == clear
-        asked = "elements 0, 1 of the command have no names; they are taken in the order of the joints: shoulder_pan"
-        assert (asked in words) != clear
-        alike = f"{names[4]} (and 1 alike): error of shoulder_pan: nothing that a drive"
-        assert (
-            alike in words and f"# {names[5]}: error of elbow_flex" in (folder / "dataset.yaml").read_text()
+
+    def told(t, goal, angle):
+        return (
+            goal
+            if clear
+            else np.sign(np.random.default_rng(round(1e6 * goal[0, 0]) % 99).normal(size=goal.shape))
         )
+
+    states = ["/joint_states/elbow_flex/position", "/joint_states/shoulder_pan/position"]
+    columns = {"__time": TIME["time"]}
+    columns |= {name: lambda t, g, q, k=k: q[:, 1 - k] for k, name in enumerate(states)}
+    commands = [f"/forward_controller/commands/data[{k}]" for k in (0, 1)]
+    columns |= {name: lambda t, g, q, k=k: told(t, g, q)[:, k] for k, name in enumerate(commands)}
+    errors = [f"/forward_controller/error/positions[{k}]" for k in (0, 1)]
+    columns |= {name: lambda t, g, q, k=k: (g - q)[:, k] for k, name in enumerate(errors)}
+    folder = write_logs(tmp_path / "logs", columns, FOLLOWING)
+    data, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    found = columns_of(data)
+    assert set(found.values()) == {"__time", *states, *commands}
+    for k, name in enumerate(("shoulder_pan", "elbow_flex")):
+        own = {column for channel, column in found.items() if channel.endswith(str(k + 1))}
+        assert own == {commands[k], f"/joint_states/{name}/position"}
+    assert ("each is the one that the angle of its joint follows" in words) == clear
+    assert ("they are taken in the order of the joints: shoulder_pan" in words) != clear
+    assert f"{errors[0]} (and 1 alike): error of shoulder_pan: nothing that a drive" in words
+    assert f"# {errors[1]}: error of elbow_flex" in (folder / "dataset.yaml").read_text()
 
 
 def test_d_is_what_is_desired_only_beside_what_is_measured(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(
-        ARM.format(actuators="").replace("shoulder_pan", "b").replace("elbow_flex", "d")
-    )
-    for k, names in enumerate((["cmd_b", "cmd_d", "pos_b", "pos_d"], ["i_q", "i_d", "pos"])):
-        folder = tmp_path / f"logs{k}"
-        folder.mkdir()
-        for seed in range(3):
-            t, goal, angle = swing(seed)
-            two = np.column_stack([t, goal - angle, angle[:, 0]]) * [1.0, 1.0, 1e-3, 1.0]
-            table = two if k else np.column_stack([t, goal, angle])
-            header = ",".join(["time", *names])
-            np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-        more = () if k else ("--robot", tmp_path / "arm.xml")
-        done = run("init", folder, *more)
-        assert done.code == 0, done.err
-        entries = written(folder)[0]["columns"].items()
-        found = {one if isinstance(one, str) else one["column"]: name for name, one in entries}
-        if k:
-            assert found["i_q"] == "i1", found
-        else:
-            assert (found["cmd_d"], found["pos_d"]) == ("goal2", "q_a2"), found
+    columns = TIME | {f"{what}_{name}": lambda t, g, q, what=what, k=k: (g if what == "cmd" else q)[:, k]
+                      for what in ("cmd", "pos") for k, name in enumerate("bd")}  # fmt: skip
+    robot = ARM.format(actuators="").replace("shoulder_pan", "b").replace("elbow_flex", "d")
+    folder = write_logs(tmp_path / "logs", columns, robot)
+    found = columns_of(proposed(run, folder, "--robot", tmp_path / "arm.xml")[0])
+    assert (found["goal2"], found["q_a2"]) == ("cmd_d", "pos_d")
+    columns = TIME | {
+        "i_q": lambda t, g, q: (g - q)[:, 0],
+        "i_d": lambda t, g, q: 1e-3 * (g - q)[:, 1],
+        "pos": lambda t, g, q: q[:, 0],
+    }
+    assert columns_of(proposed(run, write_logs(tmp_path / "currents", columns))[0])["i1"] == "i_q"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_columns_of_one_arm_are_not_those_of_the_other(run, tmp_path: Path, side: str) -> None:
-    pytest.importorskip("mujoco")
     arm = ARM[ARM.index('<body name="upper">') : ARM.index("\n</worldbody>")]
     arm = arm.replace("shoulder_pan", "joint1").replace("elbow_flex", "joint2")
     both = "".join(arm.replace('name="', f'name="{one}_') for one in ("right", "left"))
-    compiler = '<compiler angle="radian"/>'
-    (tmp_path / "arms.xml").write_text(f"<mujoco>{compiler}<worldbody>{both}</worldbody></mujoco>")
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    header = ",".join(["time", *(f"{side}_{k}_{what}" for what in ("pos", "goal") for k in (1, 2))])
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        table = np.column_stack([t, angle, goal])
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arms.xml")
-    assert done.code == 0, done.err
+    robot = f'<mujoco><compiler angle="radian"/><worldbody>{both}</worldbody></mujoco>'
+    columns = TIME | {
+        f"{side}_{k + 1}_{what}": lambda t, g, q, what=what, k=k: (q if what == "pos" else g)[:, k]
+        for what in ("pos", "goal")
+        for k in (0, 1)
+    }
+    folder = write_logs(tmp_path / "logs", columns, robot)
     other = "left" if side == "right" else "right"
-    assert set(written(folder)[1]["robot"]["hold"]) == {f"{other}_joint1", f"{other}_joint2"}
+    held = proposed(run, folder, "--robot", tmp_path / "arm.xml")[1]["robot"]["hold"]
+    assert set(held) == {f"{other}_joint1", f"{other}_joint2"}
 
 
 def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
     """A loop too stiff for the lag of one joint is none for its neighbour, which gravity holds off its goal."""
-    pytest.importorskip("mujoco")
-    stiff = ACTUATORS.replace('kp="8" kv="0.8"', 'kp="998" kv="2.7"')
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=stiff))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        angle[:, 1] = goal[:, 1] - 0.1
-        header = "time,shoulder_pan.pos,elbow_flex.pos,shoulder_pan.goal,elbow_flex.goal"
-        table = np.column_stack([t, np.degrees(angle), np.degrees(goal)])
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    _, model = written(folder)
+    columns = BOTH | {"elbow_flex.pos": lambda t, g, q: np.degrees(g[:, 1] - 0.1)}
+    stiff = FOLLOWING.replace('kp="8" kv="0.8"', 'kp="998" kv="2.7"')
+    folder = write_logs(tmp_path / "logs", columns, stiff)
+    _, model, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     gains = [part["parameters"]["k_p"]["nominal"] for part in model["components"]]
     assert gains == [pytest.approx(0.2 / 0.12, rel=0.1)] * 2
     assert "of joints with the same actuator is" in (folder / "model.yaml").read_text()
-    assert "servos of shoulder_pan, elbow_flex?" in done.out
+    assert "servos of shoulder_pan, elbow_flex?" in words
 
 
-def test_a_joint_whose_goal_rests_is_held_and_its_load_drives_nothing(run, tmp_path: Path) -> None:
-    """A gripper that stays shut reports a load without a sign, which is no commanded torque."""
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        load = np.abs(np.random.default_rng(seed).normal(size=t.size))
-        header = "time,shoulder_pan.pos,shoulder_pan.goal,elbow_flex.pos,elbow_flex.goal,elbow_flex.effort"
-        shut = 0.5 + 0.002 * np.sin(t)
-        table = np.column_stack([t, angle[:, 0], goal[:, 0], shut, np.full(t.size, 0.5), load])
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    data, model = written(folder)
-    assert {one["name"] for one in (*data["inputs"], *data["outputs"])} == {"q_a1", "goal1"}
-    assert model["robot"]["hold"] == {"elbow_flex": 0.0}
-    words = " ".join(done.out.split())
-    assert (
-        "elbow_flex.pos: of elbow_flex, which is held (elbow_flex.pos is about 0.5): its goal stands still"
-        in words
-    )
-    assert "Where do joints stand that no command moves in the logs? elbow_flex at 0 (rad or m)" in words
+def random_load(t: np.ndarray, goal: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    return np.abs(np.random.default_rng(0).normal(size=t.size))
 
 
-def test_a_bad_cell_pairs_no_joints_command_with_another_joints_angle(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))
-    for bad in (range(3), (1,)):
-        folder = tmp_path / f"bad_in_{len(bad)}"
-        folder.mkdir()
-        for seed in range(3):
-            t, goal, angle = swing(seed)
-            parts = {"time": t}
-            for k, name in enumerate(("shoulder_pan", "elbow_flex")):
-                parts |= {f"{name}.position": angle[:, k], f"{name}.torque_cmd": goal[:, k] - angle[:, k]}
-            frame = pd.DataFrame(parts).astype({"shoulder_pan.position": object})
-            if seed in bad:
-                frame.loc[50, "shoulder_pan.position"] = "err"
-            frame.to_csv(folder / f"run{seed}.csv", index=False)
-        done = run("init", folder, "--robot", tmp_path / "arm.xml")
-        assert done.code == 0, done.err
-        data, words = written(folder)[0], " ".join(done.out.split())
-        assert "row 52: column 'shoulder_pan.position' holds 'err'" in words
-        if len(bad) == 3:  # the elbow alone, with its own torque
-            assert data["columns"]["tau1"]["column"] == "elbow_flex.torque_cmd" and len(data["inputs"]) == 1
-            assert "Joint 'shoulder_pan' has no angle and no speed in the logs" in words
-        else:
-            assert len(data["records"]) == 2 and len(data["inputs"]) == 2
+EQUALITY = '<equality><joint name="jaws" joint1="elbow_flex"/></equality></mujoco>'
+TRUNK = (
+    '<body name="trunk"><freejoint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="upper">'
+)
+SHUT = {
+    "elbow_flex.pos": lambda t, g, q: 0.5 + 0.002 * np.sin(t),
+    "elbow_flex.goal": lambda t, g, q: np.full(t.size, 0.5),
+}
+RESTING = {name: lambda t, g, q: np.full(t.size, 0.5) for name in SHUT}
+
+
+@pytest.mark.parametrize(
+    ("elbow", "robot", "hold", "said"),
+    [
+        # a gripper that stays shut reports a load without a sign, which is no commanded torque
+        (SHUT | {"elbow_flex.effort": random_load}, FOLLOWING, {"elbow_flex": 0.0},
+         ("which is held (elbow_flex.pos is about 0.5): its goal stands still",
+          "Where do joints stand that no command moves in the logs? elbow_flex at 0")),
+        (RESTING, FOLLOWING, {"elbow_flex": 0.0}, ("elbow_flex.pos: stands still in all logs",)),
+        (pair("elbow_flex", 1), FOLLOWING.replace("</mujoco>", EQUALITY), {"elbow_flex": 0.0},
+         ("which is held because of equality 'jaws'", "Does elbow_flex, which moves in the logs",
+          "Where do joints stand that are tied to others? elbow_flex at 0")),
+        ({}, ARM.format(actuators="").replace("-1.7 1.7", "0.9 1.7"), {"elbow_flex": 0.9}, ("elbow_flex at 0.9",)),
+        (pair("elbow_flex", 1), FOLLOWING.replace('<body name="upper">', TRUNK).replace("</worldbody>",
+         "</body></worldbody>"), {"trunk": 0.0}, ("a floating base, so held: trunk at 0",
+                                                  "Does the base trunk stand still in all logs")),
+    ],
+    ids=["shut gripper", "still", "tied", "not at zero", "on a rack"],
+)  # fmt: skip
+def test_what_no_command_moves_is_held(
+    run, tmp_path: Path, elbow: dict, robot: str, hold: dict, said: tuple[str, ...]
+) -> None:
+    folder = write_logs(tmp_path / "logs", TIME | pair("shoulder_pan", 0) | elbow, robot)
+    data, model, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert model["robot"]["hold"] == hold
+    if "elbow_flex" in hold:
+        assert {one["name"] for one in (*data["inputs"], *data["outputs"])} == {"q_a1", "goal1"}
+    assert all(one in words for one in said), words
+    assert run("check", folder).code == 0
+
+
+def test_a_joint_that_swings_is_not_held_whatever_its_logged_goal_does(run, tmp_path: Path) -> None:
+    elbow = {
+        "elbow_flex.pos": lambda t, g, q: q[:, 1],
+        "elbow_flex.goal": lambda t, g, q: np.zeros(t.size),
+        "elbow_flex.voltage": lambda t, g, q: 5.0 * (g - q)[:, 1],
+    }
+    columns = TIME | pair("shoulder_pan", 0) | elbow
+    folder = write_logs(tmp_path / "logs", columns, ARM.format(actuators=""))
+    data, model, _ = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert "u2" in {one["name"] for one in data["inputs"]} and "hold" not in model["robot"]
+
+
+@pytest.mark.parametrize("bad", [(0, 1, 2), (1,)])
+def test_a_bad_cell_pairs_no_joints_command_with_another_joints_angle(
+    run, tmp_path: Path, bad: tuple[int, ...]
+) -> None:
+    columns = dict(TIME)
+    for k, name in enumerate(("shoulder_pan", "elbow_flex")):
+        columns[f"{name}.position"] = lambda t, g, q, k=k: q[:, k]
+        columns[f"{name}.torque_cmd"] = lambda t, g, q, k=k: (g - q)[:, k]
+    folder = write_logs(tmp_path / "logs", columns, ARM.format(actuators=""))
+    for seed in bad:
+        frame = pd.read_csv(folder / f"run{seed}.csv").astype({"shoulder_pan.position": object})
+        frame.loc[50, "shoulder_pan.position"] = "err"
+        frame.to_csv(folder / f"run{seed}.csv", index=False)
+    data, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert "row 52: column 'shoulder_pan.position' holds 'err'" in words
+    if len(bad) == 3:  # the elbow alone, with its own torque
+        assert columns_of(data)["tau1"] == "elbow_flex.torque_cmd" and len(data["inputs"]) == 1
+        assert "Joint 'shoulder_pan' has no angle and no speed in the logs" in words
+    else:
+        assert len(data["records"]) == 2 and len(data["inputs"]) == 2
 
 
 def test_a_goal_that_rests_where_the_joint_moves_most_has_the_unit_of_its_place(run, tmp_path: Path) -> None:
     """A joint that is pushed while its goal rests, in degrees; in another log it follows its goal a little."""
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(PENDULUM.format(low=-1.9, high=1.9, actuator=""))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        moves = seed == 2
-        aim = np.degrees(0.5 + (0.02 * goal[:, 0] if moves else 0.0 * t))
-        table = np.column_stack([t, 0.56 + (0.02 if moves else 0.1) * angle[:, 0], aim])
-        header = "time,elbow.pos_rad,elbow.goal"
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert written(folder)[0]["inputs"] == [{"name": "goal1", "unit": "deg"}]
+    robot = PENDULUM.format(low=-1.9, high=1.9, actuator="")
+    for part, push, follow in (("pushed", 0.1, 0.0), ("follows", 0.02, 0.02)):
+        columns = TIME | {
+            "elbow.pos_rad": lambda t, g, q, push=push: 0.56 + push * q[:, 0],
+            "elbow.goal": lambda t, g, q, follow=follow: np.degrees(0.5 + follow * g[:, 0]),
+        }
+        write_logs(tmp_path / part, columns, robot, logs=2)
+    for k in (0, 1):
+        (tmp_path / "follows" / f"run{k}.csv").rename(tmp_path / "pushed" / f"run{k + 2}.csv")
+    data, *_ = proposed(run, tmp_path / "pushed", "--robot", tmp_path / "arm.xml")
+    assert data["inputs"] == [{"name": "goal1", "unit": "deg"}]
 
 
 def test_a_stamp_that_repeats_is_told_by_its_sample(run, tmp_path: Path, motions) -> None:
@@ -485,112 +485,32 @@ def test_a_stamp_that_repeats_is_told_by_its_sample(run, tmp_path: Path, motions
     assert done.code == 2 and "run2.csv: time 'time' goes from 100 to 100 at sample 52" in done.err
 
 
-def test_joints_of_a_gripper_are_held_though_they_move_in_the_logs(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    tie = '<equality><joint name="jaws" joint1="elbow_flex" joint2="shoulder_pan"/></equality>'
-    text = ARM.format(actuators=ACTUATORS)
-    names = ("time", "shoulder_pan.pos", "shoulder_pan.goal", "elbow_flex.pos", "elbow_flex.goal")
-    of = (lambda t, g, q: t, *((lambda t, g, q: q, lambda t, g, q: g) * 2))
-    folder = one_joint(tmp_path / "logs", dict(zip(names, of, strict=True)))
-    (tmp_path / "arm.xml").write_text(text.replace("</mujoco>", f"{tie}</mujoco>"))
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 2 and "shoulder_pan.pos" in done.err, done.err  # then there is no joint left
-    grips = '<equality><joint name="jaws" joint1="elbow_flex"/></equality>'
-    (tmp_path / "arm.xml").write_text(text.replace("</mujoco>", f"{grips}</mujoco>"))
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    data, model = written(folder)
-    assert {one["name"] for one in (*data["inputs"], *data["outputs"])} == {"q_a1", "goal1"}
-    assert model["robot"]["hold"] == {"elbow_flex": 0.0}
-    words = " ".join(done.out.split())
-    assert (
-        "elbow_flex.pos: of elbow_flex, which is held because of equality 'jaws' (elbow_flex.pos is about"
-        in words
-    )
-    assert "tied by equality 'jaws', so held: elbow_flex at 0" in words
-    assert "Does elbow_flex, which moves in the logs (elbow_flex.pos goes through" in words
-    assert "Where do joints stand that are tied to others? elbow_flex at 0 (rad or m)" in words
-
-
-def test_a_robot_on_a_rack_is_held_by_its_base(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    names = ("time", "shoulder_pan.pos", "shoulder_pan.goal", "elbow_flex.pos", "elbow_flex.goal")
-    of = (lambda t, g, q: t, *((lambda t, g, q: q, lambda t, g, q: g) * 2))
-    folder = one_joint(tmp_path / "logs", dict(zip(names, of, strict=True)))
-    trunk = '<body name="trunk"><freejoint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="upper">'
-    text = ARM.format(actuators=ACTUATORS).replace('<body name="upper">', trunk)
-    (tmp_path / "arm.xml").write_text(text.replace("</worldbody>", "</body></worldbody>"))
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert written(folder)[1]["robot"]["hold"] == {"trunk": 0.0}
-    words = " ".join(done.out.split())
-    assert "a floating base, so held: trunk at 0" in words and "Where do joints stand" not in words
-    assert "Does the base trunk stand still in all logs" in words
-    assert run("check", folder).code == 0
-
-
-def test_a_joint_that_cannot_stand_at_zero_is_held_at_the_end_of_its_range(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    names = ("time", "shoulder_pan.pos", "shoulder_pan.goal")
-    of = (lambda t, g, q: t, lambda t, g, q: q, lambda t, g, q: g)
-    folder = one_joint(tmp_path / "logs", dict(zip(names, of, strict=True)))
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators="").replace("-1.7 1.7", "0.9 1.7"))
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert written(folder)[1]["robot"]["hold"] == {"elbow_flex": 0.9}
-    assert "elbow_flex at 0.9" in " ".join(done.out.split())
-
-
-def test_a_joint_that_swings_is_not_held_whatever_its_logged_goal_does(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        header = "time,shoulder_pan.pos,shoulder_pan.goal,elbow_flex.pos,elbow_flex.goal,elbow_flex.voltage"
-        unused = np.zeros(t.size)
-        table = np.column_stack([t, angle[:, 0], goal[:, 0], angle[:, 1], unused, 5.0 * (goal - angle)[:, 1]])
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    data, model = written(folder)
-    assert "u2" in {one["name"] for one in data["inputs"]} and "hold" not in model["robot"]
-
-
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="elbow" axis="0 1 0" range="{low} {high}"
  armature="0.01" damping="0.6" frictionloss="0.05"/><inertial mass="0.5" pos="0 0 -0.1" diaginertia="2e-3 2e-3 2e-3"/>
 </body></worldbody><actuator>{actuator}</actuator></mujoco>"""
 
 
-def one_joint(
-    folder: Path, columns: dict, actuator: str = "", low: float = -1.9, high: float = 1.9, logs: int = 3
-) -> Path:
-    """Logs of one joint as functions of time, goal and angle, and beside their folder the robot."""
-    folder.mkdir()
-    (folder.parent / "arm.xml").write_text(PENDULUM.format(low=-1.9, high=high, actuator=actuator))
-    for seed in range(logs):
-        t, goal, angle = swing(seed)
-        table = np.column_stack([values(t, goal[:, 0], angle[:, 0]) for values in columns.values()])
-        np.savetxt(
-            folder / f"run{seed}.csv", table, header=",".join(columns), comments="", delimiter=",", fmt="%.9g"
-        )
-    return folder
+def one_joint(folder: Path, columns: dict, actuator: str = "", high: float = 1.9, logs: int = 3) -> Path:
+    """Logs of one joint as functions of time, goal and angle ``(T,)``, and beside their folder the robot."""
+    of = {
+        name: lambda t, g, q, values=values: values(t, g[:, 0], q[:, 0]) for name, values in columns.items()
+    }
+    return write_logs(folder, of, PENDULUM.format(low=-1.9, high=high, actuator=actuator), logs)
+
+
+TORQUE = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
 
 
 def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    columns = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
-    folder = one_joint(tmp_path / "logs", columns, '<motor joint="elbow" gear="50"/>')
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert "multiplies commands those of the drives (50 at elbow)?" in done.out
+    folder = one_joint(tmp_path / "logs", TORQUE, '<motor joint="elbow" gear="50"/>')
+    _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert "multiplies commands those of the drives (50 at elbow)?" in words
     assert "gear_ratio: [50]" in (folder / "model.yaml").read_text()
-    words = "where it is the drive's gear, and they are before it, add 'gear_ratio: [50]' to model.yaml"
-    assert words in run("check", folder).err
+    told = "where it is the drive's gear, and they are before it, add 'gear_ratio: [50]' to model.yaml"
+    assert told in run("check", folder).err
     with (folder / "model.yaml").open("a") as file:
         file.write("gear_ratio: [1]\n")
-    assert words not in run("check", folder).err
+    assert told not in run("check", folder).err
 
 
 @pytest.mark.parametrize(
@@ -606,12 +526,9 @@ def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Pa
 def test_what_a_command_is_in_the_robots_file_is_asked(
     run, tmp_path: Path, actuator: str, asked: str, line: str
 ) -> None:
-    pytest.importorskip("mujoco")
-    columns = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
-    folder = one_joint(tmp_path / "logs", columns, actuator)
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert asked in done.out and line in (folder / "model.yaml").read_text()
+    folder = one_joint(tmp_path / "logs", TORQUE, actuator)
+    _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert asked in words and line in (folder / "model.yaml").read_text()
     told = "arm.xml brakes elbow by the speed (<velocity>, or a back-EMF), which is left out"
     assert (told in run("check", folder).err) == ("velocity" in actuator)
 
@@ -624,119 +541,110 @@ COUNTS = {
 
 
 def test_counts_from_elsewhere_beside_a_goal_in_radians(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
     folder = one_joint(tmp_path / "logs", COUNTS, logs=5)
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    data, model = written(folder)
+    data, model, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     assert data["columns"]["goal1"] == {"column": "goal_position"}
     assert data["columns"]["q_a1"]["zero"] == 2048
     assert [record["role"] for record in data["records"]] == ["train"] * 3 + ["test"] * 2
-    assert "sensor" not in str(model) and "zero" in done.out
+    assert "sensor" not in str(model) and "zero" in words
     assert run("init", folder, "--out", tmp_path / "alone").code == 0  # without the robot, by the goal alone
     assert written(tmp_path / "alone")[0]["columns"]["q_a1"]["zero"] == 2048
     loaded = Dataset.load(folder)
     assert all(np.max(np.abs(r.outputs["q_a1"] - r.inputs["goal1"])) < 0.5 for r in loaded.records)
 
 
-def test_percent_of_a_range_is_asked_about(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    for name, factor, asked in (("percent", 100 / 1.9, True), ("encoder", 180 / np.pi, False)):
-        step = 360 / 4096 if name == "encoder" else 1e-9
-        columns = {"timestamp": COUNTS["timestamp"]}
-        columns["elbow.goal"] = lambda t, g, q, factor=factor: factor * g
-        columns["elbow.pos"] = lambda t, g, q, factor=factor, step=step: step * np.round(factor * q / step)
-        (tmp_path / name).mkdir()
-        done = run(
-            "init", one_joint(tmp_path / name / "logs", columns), "--robot", tmp_path / name / "arm.xml"
-        )
-        assert done.code == 0, done.err
-        assert ("percent" in done.out.split("are written")[1]) is asked
+@pytest.mark.parametrize(
+    ("factor", "step", "asked"), [(100 / 1.9, 1e-9, True), (180 / np.pi, 360 / 4096, False)]
+)
+def test_percent_of_a_range_is_asked_about(
+    run, tmp_path: Path, factor: float, step: float, asked: bool
+) -> None:
+    columns = {
+        "timestamp": COUNTS["timestamp"],
+        "elbow.goal": lambda t, g, q: factor * g,
+        "elbow.pos": lambda t, g, q: step * np.round(factor * q / step),
+    }
+    _, _, words = proposed(run, one_joint(tmp_path / "logs", columns), "--robot", tmp_path / "arm.xml")
+    assert ("percent" in words.split("are written")[1]) is asked
 
 
 def test_a_speed_in_no_usual_unit_makes_the_angles_unit_doubtful(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
     columns = {
         "time": lambda t, g, q: t,
         "goal_elbow": lambda t, g, q: g / 3.0,
         "position_elbow": lambda t, g, q: q / 3.0,
         "velocity_elbow": lambda t, g, q: 0.43 * 8.0 * (g - q),
     }
-    done = run("init", one_joint(tmp_path / "logs", columns), "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert re.search(r"unit of q_a1 +rad +\? ", done.out) and re.search(r"unit of goal1 +rad +\? ", done.out)
-    assert "In which unit is 'position_elbow'?" in done.out and "1 of 'velocity_elbow' is 0.775" in done.out
+    _, _, words = proposed(run, one_joint(tmp_path / "logs", columns), "--robot", tmp_path / "arm.xml")
+    assert "unit of q_a1 rad ? " in words and "unit of goal1 rad ? " in words
+    assert "In which unit is 'position_elbow'?" in words and "1 of 'velocity_elbow' is 0.775" in words
 
 
 def test_degrees_of_a_joint_may_be_rad_of_its_motor(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    columns = {
-        "t": lambda t, g, q: t,
-        "torque_cmd": lambda t, g, q: g - q,
-        "motor_angle": lambda t, g, q: 40 * q,
-    }
+    columns = {"t": TORQUE["t"], "torque_cmd": TORQUE["torque_cmd"], "motor_angle": lambda t, g, q: 40 * q}
     folder = one_joint(tmp_path / "logs", columns)
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    assert re.search(r"unit of q_m1 +deg +\? ", done.out)
-    assert "Degrees of the joint, or rad of a motor behind its gear: 'motor_angle'?" in done.out
+    _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert "unit of q_m1 deg ? " in words
+    assert "Degrees of the joint, or rad of a motor behind its gear: 'motor_angle'?" in words
     (tmp_path / "motor.yaml").write_text("gear_ratio: 40\n")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml", "--motor", tmp_path / "motor.yaml", "--force")
-    assert done.code == 0, done.err
-    assert re.search(r"unit of q_m1 +rad +yes ", done.out)
+    options = ("--robot", tmp_path / "arm.xml", "--motor", tmp_path / "motor.yaml", "--force")
+    assert "unit of q_m1 rad yes " in proposed(run, folder, *options)[2]
 
 
-def test_gains_that_the_logs_contradict_are_no_start(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    for name, kp, believed in (("stiff", 998, False), ("right", 5, True)):
-        actuator = f'<position joint="elbow" kp="{kp}" forcerange="-3 3"/>'
-        (tmp_path / name).mkdir()
-        folder = one_joint(tmp_path / name / "logs", COUNTS, actuator)
-        done = run("init", folder, "--robot", tmp_path / name / "arm.xml")
-        assert done.code == 0, done.err
-        found = written(folder)[1].get("components", [])
-        assert ("behind its goal" in done.out) is not believed and bool(found) is not believed
-        if found:  # the angle follows with 1/8 s, the file's damping is 0.6
-            assert found[0]["parameters"]["k_p"]["nominal"] == pytest.approx(0.6 * 8, rel=0.15)
-            assert found[0]["parameters"]["tau_max"]["nominal"] == 3
+@pytest.mark.parametrize(("kp", "believed"), [(998, False), (5, True)])
+def test_gains_that_the_logs_contradict_are_no_start(run, tmp_path: Path, kp: int, believed: bool) -> None:
+    folder = one_joint(tmp_path / "logs", COUNTS, f'<position joint="elbow" kp="{kp}" forcerange="-3 3"/>')
+    _, model, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    found = model.get("components", [])
+    assert ("behind its goal" in words) is not believed and bool(found) is not believed
+    if found:  # the angle follows with 1/8 s, the file's damping is 0.6
+        assert found[0]["parameters"]["k_p"]["nominal"] == pytest.approx(0.6 * 8, rel=0.15)
+        assert found[0]["parameters"]["tau_max"]["nominal"] == 3
 
 
 def test_records_are_cut_at_an_end_stop(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    angles = [swing(seed)[2][:, 0] for seed in range(3)]
-    farthest = max(float(one.max()) for one in angles)
+    farthest = max(float(swing(seed)[2][:, 0].max()) for seed in range(3))
     columns = {"timestamp": COUNTS["timestamp"], "goal": lambda t, g, q: g, "position": lambda t, g, q: q}
     folder = one_joint(tmp_path / "logs", columns, high=0.99 * farthest)
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    cut = [record for record in written(folder)[0]["records"] if "between" in record]
-    assert cut and "end stop" in done.out
+    data, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert [record for record in data["records"] if "between" in record] and "end stop" in words
     for record in Dataset.load(folder).records:
         assert record.outputs["q_a1"].max() <= 0.9931 * farthest
 
 
-def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [("encoder_rad", 1.0), ("encoder_rad", 50.0), ("joint_angle", 1.0), ("motor_angle", 50.0)],
+)
+def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(
+    run, tmp_path: Path, name: str, times: float
+) -> None:
     (tmp_path / "sheet.yaml").write_text("gear_ratio: 50\n")
-    named = (("encoder_rad", 1.0), ("encoder_rad", 50.0), ("joint_angle", 1.0), ("motor_angle", 50.0))
-    for name, times in named:
-        columns = {"timestamp": COUNTS["timestamp"], "torque_cmd": lambda t, g, q: g - q}
-        columns[name] = lambda t, g, q, times=times: times * q
-        home = tmp_path / f"{name}{times:g}"
-        home.mkdir()
-        folder = one_joint(home / "logs", columns)
-        done = run("init", folder, "--robot", home / "arm.xml", "--motor", tmp_path / "sheet.yaml")
-        assert done.code == 0, done.err
-        assert written(folder)[0]["outputs"] == [{"name": "q_m1" if times > 1 else "q_a1", "unit": "rad"}]
+    columns = {"t": TORQUE["t"], "torque_cmd": TORQUE["torque_cmd"], name: lambda t, g, q: times * q}
+    folder = one_joint(tmp_path / "logs", columns)
+    options = ("--robot", tmp_path / "arm.xml", "--motor", tmp_path / "sheet.yaml")
+    outputs = proposed(run, folder, *options)[0]["outputs"]
+    assert outputs == [{"name": "q_m1" if times > 1 else "q_a1", "unit": "rad"}]
+
+
+def test_a_ratio_is_that_of_the_joint_which_moves(run, tmp_path: Path) -> None:
+    """A joint without a command has no number: the one ratio is the elbow's, whose encoder is at its joint."""
+    (tmp_path / "sheet.yaml").write_text("gear_ratio: [20]\n")
+    columns = TIME | {
+        "shoulder_pan.pos_rad": lambda t, g, q: 1e-3 * np.random.default_rng(0).standard_normal(t.size),
+        "elbow_flex.pos_rad": lambda t, g, q: q[:, 1],
+        "elbow_flex.torque_cmd": lambda t, g, q: (g - q)[:, 1],
+    }
+    folder = write_logs(tmp_path / "logs", columns, ARM.format(actuators=""))
+    options = ("--robot", tmp_path / "arm.xml", "--motor", tmp_path / "sheet.yaml")
+    data, model, words = proposed(run, folder, *options)
+    assert data["outputs"] == [{"name": "q_a1", "unit": "rad"}] and model["gear_ratio"] == [20.0]
+    assert "q_a1" in words and "q_m2" not in words
 
 
 def test_a_joint_that_moves_in_one_of_many_logs_is_found(run, tmp_path: Path, motions) -> None:
-    folder = tmp_path / "x"
-    for k in range(10):
-        t, u, q = motions[0]
-        write_csv(folder / "part", [(t, u if k == 9 else 0 * u, q if k == 9 else 0 * q)], MS)
-        (folder / "part" / "run1.csv").rename(folder / f"run{k}.csv")
-    (folder / "part").rmdir()
+    t, u, q = motions[0]
+    folder = write_csv(tmp_path / "x", [(t, u * (k == 9), q * (k == 9)) for k in range(10)], MS, records=10)
     done = run("init", folder)
     assert "stands still" not in done.out + done.err and "has no usable pair" not in done.err
 
@@ -767,9 +675,7 @@ def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
         tables.append(pa.table(rows))
     (folder / "data" / "chunk-000").mkdir(parents=True)
     pq.write_table(pa.concat_tables(tables), folder / "data" / "chunk-000" / "file-000.parquet")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    data, _ = written(folder)
+    data, *_ = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     assert data["format"] == "lerobot" and [one["episode"] for one in data["records"]] == [0, 1, 2]
     assert data["columns"]["q_a2"]["column"] == "observation.state/elbow_flex.pos"
     assert data["columns"]["goal1"]["column"] == "action/shoulder_pan.pos"
@@ -779,8 +685,7 @@ def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
 def test_a_log_in_which_nothing_moves_is_left_out(run, tmp_path: Path, motions) -> None:
     rest = (motions[0][0], motions[0][1], np.full_like(motions[0][2], 0.25))
     folder = write_csv(tmp_path / "logs", [motions[0], rest, motions[2]], MS)
-    done = run("init", folder)
-    assert done.code == 0, done.err
+    proposed(run, folder)
     assert [one["file"] for one in written(folder)[0]["records"]] == ["run1.csv", "run3.csv"]
     assert "run2.csv: no angle and no speed moves in it" in (folder / "dataset.yaml").read_text()
 
@@ -813,50 +718,9 @@ def test_a_bag_of_joint_states_and_a_command(run, tmp_path: Path, motions) -> No
                 stamp,
                 store.serialize_cdr(types[ARRAY](layout=layout, data=np.array([volts])), ARRAY),
             )
-    done = run("init", tmp_path / "logs")
-    assert done.code == 0, done.err
-    data, _ = written(tmp_path / "logs")
-    assert {name: entry["column"] for name, entry in data["columns"].items()} == {
+    assert columns_of(proposed(run, tmp_path / "logs")[0]) == {
         "t": "/joint_states", "u1": "/voltage/command/data/0", "q_m1": "/joint_states/position/elbow",
     }  # fmt: skip
-
-
-def test_a_ratio_is_that_of_the_joint_which_moves(run, tmp_path: Path) -> None:
-    """A joint without a command has no number: the one ratio is the elbow's, whose encoder is at its joint."""
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=""))
-    (tmp_path / "sheet.yaml").write_text("gear_ratio: [20]\n")
-    folder, rng = tmp_path / "logs", np.random.default_rng(0)
-    folder.mkdir()
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        shoulder = 1e-3 * rng.standard_normal(t.size)
-        table = np.column_stack([t, shoulder, angle[:, 1], goal[:, 1] - angle[:, 1]])
-        names = "time,shoulder_pan.pos_rad,elbow_flex.pos_rad,elbow_flex.torque_cmd"
-        np.savetxt(folder / f"run{seed}.csv", table, header=names, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml", "--motor", tmp_path / "sheet.yaml")
-    assert done.code == 0, done.err
-    data, model = written(folder)
-    assert data["outputs"] == [{"name": "q_a1", "unit": "rad"}] and model["gear_ratio"] == [20.0]
-    assert "q_a1" in done.out and "q_m2" not in done.out
-
-
-def test_a_joint_that_stands_still_is_said_to_and_takes_no_part(run, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    for seed in range(3):
-        t, goal, angle = swing(seed)
-        rest = np.full(t.size, 0.5)
-        header = "time,shoulder_pan.pos,shoulder_pan.goal,elbow_flex.pos,elbow_flex.goal"
-        table = np.column_stack([t, angle[:, 0], goal[:, 0], rest, rest])
-        np.savetxt(folder / f"run{seed}.csv", table, header=header, comments="", delimiter=",")
-    done = run("init", folder, "--robot", tmp_path / "arm.xml")
-    assert done.code == 0, done.err
-    words = " ".join(done.out.split())
-    assert "elbow_flex.pos: stands still in all logs" in words and "has no angle and no speed" not in words
-    assert written(folder)[1]["robot"]["hold"] == {"elbow_flex": 0.0}
 
 
 def test_logs_of_a_servo_bench_keep_their_switch(run, tmp_path: Path, motions) -> None:
@@ -874,12 +738,10 @@ def test_logs_of_a_servo_bench_keep_their_switch(run, tmp_path: Path, motions) -
     (tmp_path / "logs" / "notes.json").write_text("{}")
     words = f"'hybrid-id init {tmp_path / 'logs'}' writes one for its logs"
     assert words in run("check", tmp_path / "logs").err
-    done = run("init", tmp_path / "logs")
-    assert done.code == 0, done.err
-    data, model = written(tmp_path / "logs")
+    data, model, words = proposed(run, tmp_path / "logs")
     assert [one["name"] for one in data["inputs"]] == ["duty1", "supply1", "enable1"]
     assert [one["file"] for one in data["records"]] == ["run0.json", "run1.json", "run2.json"]
-    assert model["components"][0]["kind"] == "duty_supply" and "notes.json is no BAM log" in done.out
+    assert model["components"][0]["kind"] == "duty_supply" and "notes.json is no BAM log" in words
     assert run("check", tmp_path / "logs").code == 0
 
 

@@ -12,7 +12,13 @@ from record_formats import ANGLE, TIME, VOLTS, write_yaml
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.readers import load_any
+from hybrid_id.records.readers import load_any, table
+
+
+@pytest.fixture(autouse=True)
+def little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound for every file, so that small bombs go off."""
+    monkeypatch.setattr(table, "MOST_MEMORY", 50_000_000)
 
 
 def refused(path: Path, wanted: list[str], *words: str) -> None:
@@ -51,10 +57,13 @@ def test_npz_that_is_wrong(tmp_path: Path) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     refused(path, ["t"], "not a readable .npz file")
     np.savez_compressed(path, t=np.zeros(40_000_000))
-    refused(path, ["t"], "unpacks to more than 100 times")
+    refused(path, ["t"], "unpacks to more than")
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
-    for claimed, word in ((buffer.getvalue(), "unpacks to more"), (buffer.getvalue()[:20], "not a readable")):
+    for claimed, word in (
+        (buffer.getvalue(), "unpacks to more than"),
+        (buffer.getvalue()[:20], "not a readable"),
+    ):
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("t.npy", claimed)
         refused(path, ["t"], word)
@@ -114,7 +123,7 @@ def test_mat73_that_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     path.write_bytes(whole[: len(whole) // 3])
     refused(path, ["t"], "not a readable MATLAB 7.3 file")
     write_mat73(path, {"t": np.zeros(40_000_000)}, chunks=(1, 1_000_000), compression="gzip")
-    refused(path, ["t"], "unpacks to more than 100 times")
+    refused(path, ["t"], "unpacks to more than")
 
 
 def test_mat73_with_a_piece_that_unpacks_to_more_than_it_says(tmp_path: Path) -> None:
@@ -124,4 +133,4 @@ def test_mat73_with_a_piece_that_unpacks_to_more_than_it_says(tmp_path: Path) ->
     with h5py.File(tmp_path / "run.mat", "w") as file:
         item = file.create_dataset("t", (1, 1000), chunks=(1, 1000), compression="gzip", dtype="f8")
         item.id.write_direct_chunk((0, 0), zlib.compress(bytes(150_000_000), 9))
-    refused(tmp_path / "run.mat", ["t"], "unpacks to more than 100 times")
+    refused(tmp_path / "run.mat", ["t"], "not a readable MATLAB 7.3 file")

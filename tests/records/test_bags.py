@@ -12,7 +12,7 @@ from record_formats import ANGLE, JOINTS, NANOSECONDS, TIME, VOLTS, write_yaml
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.logs import find_logs, read_log
-from hybrid_id.records.readers import bag, load_any
+from hybrid_id.records.readers import bag, load_any, table
 from hybrid_id.records.readers.bag import CONTROLLER, JOINT_STATE, _typestore
 
 pytest.importorskip("rosbags")
@@ -258,10 +258,10 @@ def gap() -> list[Message]:
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (changed(cut("mcap")), ("run", "cut short")),
-        (changed(cut("bag"), "ros1"), ("run.bag", "cut short")),
+        (changed(cut("mcap")), ("run", "not a readable bag")),
+        (changed(cut("bag"), "ros1"), ("run.bag", "not a readable bag")),
         (changed(cut("db3"), "sqlite3"), ("run", "not a readable bag")),
-        (changed(lambda path: (path / "run.mcap").write_bytes(b"")), ("run", "no MCAP file")),
+        (changed(lambda path: (path / "run.mcap").write_bytes(b"")), ("run", "not a readable bag")),
         (changed(nothing, u1="/volts/data/0"), ("no topic for column '/volts/data/0'", "/commands (std_msgs/Float64M")),
         (changed(nothing, t="t"), ("no topic for column 't'", "{t: /joint_states}")),
         (changed(nothing, q_m1="/joint_states/position/elbwo"), ("'/joint_states/position/elbow'", "did you mean")),
@@ -280,8 +280,9 @@ def gap() -> list[Message]:
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_bag_is_said(
-    tmp_path: Path, build: Callable[[Path], Path], words: tuple[str, ...]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, build: Callable[[Path], Path], words: tuple[str, ...]
 ) -> None:
+    monkeypatch.setattr(table, "MOST_MEMORY", 50_000_000)
     with pytest.raises(InputError) as caught:
         Dataset.load(build(tmp_path))
     message = str(caught.value)

@@ -1,6 +1,7 @@
 """Facts of records that change together are said; what is varied by itself is not."""
 
 import numpy as np
+import pytest
 
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.quality import check_dataset, confounded_signals, record_conditions
@@ -20,23 +21,20 @@ def series(heat: list[float], gains: list[float]) -> list[Record]:
     ]
 
 
-def test_gain_that_rises_with_temperature_is_said() -> None:
-    words = list(confounded_signals(series([20.0, 21.0, 29.5, 31.0, 40.0], [100, 100, 400, 400, 800])))
-    assert len(words) == 1
-    assert "gain" in words[0] and "heat" in words[0] and "rise together (correlation 0.9" in words[0]
-
-
-def test_one_that_falls_goes_the_opposite_way() -> None:
-    (words,) = confounded_signals(series([40.0, 30.0, 20.0, 10.0], [1, 2, 3, 4]))
-    assert "go opposite ways" in words and "-1.00" in words
-
-
-def test_facts_that_are_varied_apart_are_not_said() -> None:
-    assert not list(confounded_signals(series([20.0, 40.0, 20.0, 40.0], [1, 1, 2, 2])))
-
-
-def test_too_few_records_say_nothing() -> None:
-    assert not list(confounded_signals(series([1.0, 2.0, 3.0], [1, 2, 3])))
+@pytest.mark.parametrize(
+    ("heat", "gains", "said"),
+    [
+        ([20.0, 21.0, 29.5, 31.0, 40.0], [100, 100, 400, 400, 800], ("gain", "heat", "rise together", "0.9")),
+        ([40.0, 30.0, 20.0, 10.0], [1, 2, 3, 4], ("go opposite ways", "-1.00")),
+        ([20.0, 40.0, 20.0, 40.0], [1, 1, 2, 2], ()),  # varied apart
+        ([1.0, 2.0, 3.0], [1, 2, 3], ()),  # too few records
+    ],
+)
+def test_facts_that_change_together_are_said(
+    heat: list[float], gains: list[float], said: tuple[str, ...]
+) -> None:
+    found = list(confounded_signals(series(heat, gains)))
+    assert len(found) == bool(said) and all(word in found[0] for word in said)
 
 
 def test_what_is_the_same_everywhere_or_has_two_names_is_one_fact_or_none() -> None:

@@ -10,12 +10,7 @@ from hybrid_id.records.measures import (
     quantisation_step,
     rest_samples,
 )
-from hybrid_id.records.quality import (
-    Finding,
-    _merged,
-    check_dataset,
-    check_record,
-)
+from hybrid_id.records.quality import check_dataset, check_record
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
 
@@ -281,18 +276,6 @@ def test_what_many_records_share_is_said_once() -> None:
     noise = [finding for finding in check_dataset(data) if finding.code == "noise"]
     assert len(noise) == 1
     assert "likewise in 3 more records: b, c, d" in noise[0].message
-    twice = list(_merged([Finding("warning", "clipped", "cut", name, "u1") for name in "aabbc"]))
-    assert len(twice) == 1 and "likewise in 2 more records: b, c" in twice[0].message
-
-
-def test_a_sentence_without_a_number_is_said_once_for_all_channels() -> None:
-    def found(words: str) -> list[Finding]:
-        pairs = (("a", "v_a1"), ("b", "v_a1"), ("a", "v_a2"))
-        return [Finding("warning", "noisy", f"{r}, {c}: {words}", r, c) for r, c in pairs]
-
-    (one,) = _merged(found("noise is above a tenth of the signal"))
-    assert one.message.endswith("signal [likewise v_a1 in b; v_a2 in a]")
-    assert len(list(_merged(found("it stops dead at 0.3")))) == 3
 
 
 def arm_record(name: str, *, still: tuple[int, ...], noise: float = 1e-3) -> Record:

@@ -167,18 +167,6 @@ def test_a_joint_held_for_a_tie_stands_where_the_description_draws_it(tmp_path):
     assert tree.holding({"grip": 0.4}).points["jaw"].position == (0.0, 0.0, 0.0)
 
 
-def test_entities_are_refused_unread(tmp_path):
-    path = tmp_path / "robot.xml"
-    path.write_text('<!DOCTYPE x [<!ENTITY a "b">]><mujoco/>')
-    with pytest.raises(InputError, match="DOCTYPE"):
-        load_tree(path)
-
-
-def test_a_file_that_is_not_there_is_said(tmp_path):
-    with pytest.raises(InputError, match=r"none\.xml: cannot be read"):
-        load_tree(tmp_path / "none.xml")
-
-
 def test_a_missing_mesh_hurts_only_where_the_inertia_comes_from_it(tmp_path):
     assets = '<asset><mesh name="shape" file="gone.stl"/></asset>'
     shape = '<geom type="mesh" mesh="shape"/>'
@@ -198,9 +186,10 @@ def test_what_a_drive_starts_from_is_kept(tmp_path):
     assert found.reference == 0.1
 
 
-def test_a_servo_behind_a_gear_is_one_at_the_joint(tmp_path):
+@pytest.mark.parametrize("at", ["joint", "jointinparent"])
+def test_a_servo_behind_a_gear_is_one_at_the_joint(tmp_path, at):
     limits = 'ctrlrange="-1 3" forcerange="-6 6"'
-    actuator = f'<actuator><position joint="turn" gear="2" kp="5" kv="0.1" {limits}/></actuator>'
+    actuator = f'<actuator><position {at}="turn" gear="2" kp="5" kv="0.1" {limits}/></actuator>'
     (found,) = load_tree(described(tmp_path, arm(), actuator)).joints
     assert found.servo is not None and found.servo.goals == (-0.5, 1.5)
     assert (found.servo.stiffness, found.servo.damping, found.servo.largest) == (20.0, 0.4, 12.0)
@@ -326,12 +315,6 @@ def test_a_damper_that_is_commanded_is_no_loop_of_the_angle(tmp_path):
     assert found.servo is None and found.damping == 0.0
 
 
-def test_a_servo_in_the_frame_of_the_parent_is_one_of_the_joint(tmp_path):
-    actuator = '<actuator><position jointinparent="turn" gear="2" kp="5" kv="0.1"/></actuator>'
-    (found,) = load_tree(described(tmp_path, arm(), actuator)).joints
-    assert found.servo is not None and (found.servo.stiffness, found.servo.damping) == (20.0, 0.4)
-
-
 def test_gravity_may_be_switched_off_and_nothing_else(tmp_path):
     off = '<option gravity="0 0 -9.81"><flag {}="disable"/></option>'
     assert [float(g) for g in load_tree(described(tmp_path, arm(), off.format("gravity"))).gravity] == [
@@ -342,12 +325,6 @@ def test_gravity_may_be_switched_off_and_nothing_else(tmp_path):
             load_tree(described(tmp_path, arm(), off.format(flag)))
 
 
-@pytest.mark.parametrize("word", ["damping", "stiffness"])
-def test_a_polynomial_is_refused(tmp_path, word):
-    with pytest.raises(InputError, match=f"{word} of joint 'turn' is a polynomial"):
-        load_tree(described(tmp_path, arm(f'<joint name="turn" axis="0 1 0" {word}="0.5 2 0"/>')))
-
-
 def test_an_inertia_from_a_mesh_that_is_not_there_is_refused_whatever_the_body_says(tmp_path):
     shape = '<geom type="mesh" mesh="shape"/>'
     world = f'<body name="full">{HINGE}<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>{shape}</body>'
@@ -356,14 +333,17 @@ def test_an_inertia_from_a_mesh_that_is_not_there_is_refused_whatever_the_body_s
         load_tree(described(tmp_path, world, assets))
 
 
-@pytest.mark.parametrize("file", ["so101/so101_new_calib.xml", "so101/so101_new_calib.urdf"])
-def test_the_so101_has_six_joints_under_their_own_names(file):
+@pytest.mark.parametrize(
+    "file",
+    ["so101/so101_new_calib.xml", "so101/so101_new_calib.urdf", "staubli_tx40/tx40_mdh_modified.urdf"],
+)
+def test_known_arms_have_six_joints_under_their_own_names(file):
     if not (SHARED / file).exists():
         pytest.skip("the shared data are not beside the project")
-    tree = load_tree(SHARED / file)
-    assert tree.names == (
-        "shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper",
-    )  # fmt: skip
+    names = load_tree(SHARED / file).names
+    assert len(names) == 6
+    if file.startswith("so101"):
+        assert names == ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 
 
 def test_no_body_is_lost_to_another_of_the_name_that_it_is_given(tmp_path):
@@ -390,13 +370,6 @@ def test_links_without_a_mass_are_named(tmp_path):
     assert load_tree(described(tmp_path, tip.format(""), driven)).massless == ("tip", "pin")
 
 
-def test_the_joints_of_the_tx40_are_read():
-    path = SHARED / "staubli_tx40" / "tx40_mdh_modified.urdf"
-    if not path.exists():
-        pytest.skip("the shared data are not beside the project")
-    assert len(load_tree(path).joints) == 6
-
-
 LIFTED = '<joint name="{name}" {joint}/><inertial mass="{mass}" pos="0 0 0.1" diaginertia="0.01 0.01 0.01"/>'
 
 
@@ -405,6 +378,8 @@ LIFTED = '<joint name="{name}" {joint}/><inertial mass="{mass}" pos="0 0 0.1" di
     [
         ('damping="-0.6"', 1, "", "damping of joint 'lift' is -0.6; give 0 or more"),
         ('frictionloss="-1"', 1, "", "frictionloss of joint 'lift' is -1; give 0 or more"),
+        ('damping="0.5 2 0"', 1, "", "damping of joint 'lift' is a polynomial"),
+        ('stiffness="0.5 2 0"', 1, "", "stiffness of joint 'lift' is a polynomial"),
         ("", -0.03, "", "mass of body 'arm' is -0.03 kg"),
         ("", 1, '<position joint="lift" kp="0"/>', "kp of the actuator of joint 'lift' is 0; give more"),
         ("", 1, '<position joint="lift" kp="8"/><motor joint="lift"/>', "joint 'lift' has 2 actuators"),

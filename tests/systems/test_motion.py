@@ -21,6 +21,8 @@ from hybrid_id.components import (
     TorqueMotor,
 )
 from hybrid_id.errors import InputError
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible
@@ -281,3 +283,10 @@ def test_logged_load_acts_at_the_link() -> None:
     x = run(flexible, {"u1": zeros(150), "w1": 2.0})
     momentum = 100.0 * 1e-5 * x["v_m1"] + 0.1 * x["v_a1"]
     np.testing.assert_allclose(momentum, -3.0 * STEP * np.arange(150), rtol=1e-9, atol=1e-12)
+
+
+def test_a_record_without_the_load_is_refused() -> None:
+    system = coasting().with_component("joint1/load", LoggedLoad())
+    record = Record("r", STEP * np.arange(5), {"u1": zeros(5)}, {"q_m1": zeros(5)})
+    with pytest.raises(InputError, match="w1"):
+        make_batch(system, [record])

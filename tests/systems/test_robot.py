@@ -210,27 +210,6 @@ def test_dry_friction_takes_energy_and_never_gives_any(tmp_path: Path) -> None:
     assert np.diff(energy).max() <= 1e-9 * energy[0]
 
 
-def test_gradients_of_a_sample_are_those_of_finite_differences(tmp_path: Path) -> None:
-    _, system = arm(tmp_path, friction=0.05, count=3)
-    system = system.with_component("joint2/motor_friction", LoadDependent(mu=0.05))
-    x = [torch.tensor([v], dtype=torch.float64) for v in (0.2, 0.5, -0.4, -0.3, 0.1, 0.7)]
-    u = {f"tau{k + 1}": torch.tensor([0.2], dtype=torch.float64) for k in range(3)}
-    dt, engine = torch.tensor([STEP], dtype=torch.float64), Engine("dry", 2)
-
-    def sample(theta):
-        return torch.cat(engine.sample(system, x, u, dt, system.views(list(theta[:, None]))))
-
-    theta = system.theta().detach()
-    exact = torch.as_tensor(torch.autograd.functional.jacobian(sample, theta))
-    for k in range(len(theta)):
-        h = 1e-5 * max(float(theta[k].abs()), 1e-3)
-        ahead, back = theta.clone(), theta.clone()
-        ahead[k] += h
-        back[k] -= h
-        slope = (sample(ahead) - sample(back)) / (2 * h)
-        np.testing.assert_allclose(exact[:, k], slope, rtol=1e-6, atol=1e-9 * float(exact.abs().max()))
-
-
 def test_a_coupling_beside_a_tree_is_refused() -> None:
     with pytest.raises(InputError, match="the robot's own tree couples"):
         robot(planar()).with_component("joint1/load", JointCoupling())

@@ -6,17 +6,14 @@ from pathlib import Path
 
 from hybrid_id.errors import InputError
 from hybrid_id.reading import size_of
-from hybrid_id.records.readers.bag import bag_names, read_bag
-from hybrid_id.records.readers.bag_files import is_bag_folder
+from hybrid_id.records.readers.bag import bag_names, is_bag_folder, read_bag
 from hybrid_id.records.readers.bam import bam_names, read_bam
 from hybrid_id.records.readers.csv_text import csv_names, read_csv
 from hybrid_id.records.readers.lerobot import in_lerobot, lerobot_episodes, lerobot_names, read_lerobot
 from hybrid_id.records.readers.mat import mat_names, read_mat
-from hybrid_id.records.readers.mat_hdf5 import is_hdf5
 from hybrid_id.records.readers.npz import npz_names, read_npz
 from hybrid_id.records.readers.parquet import parquet_names, read_parquet
 from hybrid_id.records.readers.table import Table, TimeRange, record_name, refuse_excess
-from hybrid_id.records.readers.unpack import refuse_bomb
 
 READERS: dict[str, Callable[..., Table]] = {
     "csv": read_csv,
@@ -118,12 +115,10 @@ def load_any(
 
 @contextmanager
 def _reaching(path: Path, file_format: str, where: str) -> Iterator[None]:
-    """Refuse a file that is not there, cannot be read, or unpacks beyond any record; ``where`` says what names it."""
+    """Refuse a file that is not there or cannot be read; ``where`` says what names it."""
     try:
         if not (file_format == "bag" and path.is_dir()):
             size_of(path)
-        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
-            refuse_bomb(path)
         yield
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct {where} or bring the file") from None

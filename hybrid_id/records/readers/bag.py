@@ -15,6 +15,8 @@ Messages are decoded by the definitions below and never by those that a bag carr
 generate code.
 """
 
+import re
+import sqlite3
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -28,7 +30,6 @@ import numpy as np
 from hybrid_id.errors import InputError, listed
 from hybrid_id.reading import size_of
 from hybrid_id.records.files import natural_order
-from hybrid_id.records.readers.bag_files import STORAGES, check_storage, message_bytes, unpack_storage
 from hybrid_id.records.readers.table import Table, parsing, require_columns
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -36,6 +37,8 @@ CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 ARRAY, NUMBER = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64"
 KINDS = (JOINT_STATE, CONTROLLER, ARRAY, NUMBER)
 
+_STORAGES = re.compile(r"\.(mcap|db3)(\.zstd)?$")
+_ZSTD = b"\x28\xb5\x2f\xfd"
 _POINT, _MULTI = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 # Layouts of the controller's state: single joints, joints of several degrees of freedom. Each is longer than the last.
 _GENERATIONS = {
@@ -48,6 +51,11 @@ _MOST_VALUES = 10_000  # in one message
 _MOST_COLUMNS = 1000  # of one topic, in what a message lists
 _LONGEST = 200  # signs of a joint's name
 _PEEKED = 50  # messages of each topic that are looked at for the names of its columns
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder holds the files of a ROS 2 bag."""
+    return path.is_dir() and any(_STORAGES.search(file.name) for file in path.iterdir())
 
 
 def read_bag(path: Path, wanted: Collection[str]) -> Table:
@@ -65,7 +73,31 @@ def read_bag(path: Path, wanted: Collection[str]) -> Table:
                 topic.add(reader, isinstance(reader, Reader1), path)
         for topic in topics.values():
             require_columns(path, topic.missing(), _available(readers, topic, path))
-    return _table(path, wanted, topics)
+    # one zero of time: the first stamp of the topic whose stamps are wanted
+    times, stamps_of = {}, {name: topic.stamps() for name, topic in topics.items()}
+    columns = {
+        name: np.array(column.values) for topic in topics.values() for name, column in topic.columns.items()
+    }
+    clocks = [name for name in wanted if name in topics]
+    rows = {}
+    for name, topic in topics.items():
+        first = next(iter(topic.columns.values()), None)
+        rows[name] = np.arange(len(topic.logged)) if first is None else np.array(first.rows)
+    clock = clocks[0] if clocks else next(iter(topics))
+    zero = stamps_of[clock][rows[clock][0]]
+    for name, topic in topics.items():
+        for key, column in topic.columns.items():
+            own = np.array(column.rows)
+            if name != clock or not np.array_equal(own, rows[clock]):
+                times[key] = 1e-9 * (stamps_of[name][own] - zero)
+    columns |= {name: 1e-9 * (stamps_of[name][rows[name]] - zero) for name in clocks}
+    return Table(
+        path,
+        {name: columns[name] for name in wanted},
+        lambda k: f"message {rows[clock][k] + 1} of {clock}",
+        stamps=frozenset(clocks),
+        times=times,
+    )
 
 
 def bag_names(path: Path) -> list[str]:
@@ -94,14 +126,14 @@ def _opened(path: Path) -> Iterator[tuple[list[Any], dict[str, str]]]:
 
 
 def _open(path: Path, stack: ExitStack) -> list[Any]:
-    """Open every storage file of a bag, checked before the library reads it."""
+    """Open every storage file of a bag."""
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
     files = [path]
     if path.is_dir():
         files = sorted(
-            (file for file in path.iterdir() if STORAGES.search(file.name)),
+            (file for file in path.iterdir() if _STORAGES.search(file.name)),
             key=lambda file: natural_order(file.name),
         )
         if not files:
@@ -111,12 +143,39 @@ def _open(path: Path, stack: ExitStack) -> list[Any]:
         size_of(file)
         if file.suffix == ".zstd":
             folder = Path(stack.enter_context(TemporaryDirectory()))
-            file = unpack_storage(file, folder)
-        check_storage(file, path)
-        reader = (Reader1 if file.suffix.lower() == ".bag" else Reader2)(file)
+            (folder / file.stem).write_bytes(_zstd().decompress(file.read_bytes()))
+            file = folder / file.stem
+        kind = file.suffix.lower()
+        if kind not in (".bag", ".mcap", ".db3"):
+            raise InputError(
+                f"{path} is no bag that is read; give a .bag, .mcap or .db3 file, or a ROS 2 bag's folder"
+            )
+        if kind == ".db3":
+            _refuse_code(file, path)
+        reader = (Reader1 if kind == ".bag" else Reader2)(file)
         stack.enter_context(reader)
         readers.append(reader)
     return readers
+
+
+def _refuse_code(file: Path, bag: Path) -> None:
+    """Refuse a database whose tables are views, triggers or computed columns: such run what their author wrote."""
+    connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+    try:
+        rows = connection.execute("SELECT type, sql FROM sqlite_master LIMIT 1000").fetchall()
+    finally:
+        connection.close()
+    for kind, text in rows:
+        if kind not in ("table", "index") or re.search(r"\b(AS|VIRTUAL)\b", text or "", re.IGNORECASE):
+            raise InputError(f"{bag}: its database holds a {kind} that no recorder writes; record it anew")
+
+
+def _zstd() -> Any:
+    try:
+        from compression import zstd  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        from backports import zstd  # pyright: ignore[reportMissingImports]
+    return zstd
 
 
 def _topics(path: Path, wanted: Collection[str], kinds: Mapping[str, str]) -> "dict[str, _Topic]":
@@ -235,8 +294,9 @@ def _messages(
         raise InputError(f"{path}: topic '{topic}' has messages of several types; record it anew")
     decode, names, places = _decoder(kind, ros1), None, {}
     for row, (_, log_time, raw) in enumerate(reader.messages(connections=connections)):
+        raw = bytes(raw)  # which a recorder may have packed one by one
         try:
-            message = decode(message_bytes(raw, path))
+            message = decode(_zstd().decompress(raw) if raw.startswith(_ZSTD) else raw)
         except ValueError as error:
             raise InputError(
                 f"{path}: message {row + 1} of '{topic}' cannot be decoded as {_short(kind)} ({error}); record it anew"
@@ -329,34 +389,6 @@ def _names(topic: str, kind: str, message: Any, places: Mapping[str, int]) -> li
         for key, k in places.items()
         if k < len(values)
     ]
-
-
-def _table(path: Path, wanted: Collection[str], topics: Mapping[str, _Topic]) -> Table:
-    """Bring what was found to one zero of time: the first stamp of the topic whose stamps are wanted."""
-    times, stamps_of = {}, {name: topic.stamps() for name, topic in topics.items()}
-    columns = {
-        name: np.array(column.values) for topic in topics.values() for name, column in topic.columns.items()
-    }
-    clocks = [name for name in wanted if name in topics]
-    rows = {}
-    for name, topic in topics.items():
-        first = next(iter(topic.columns.values()), None)
-        rows[name] = np.arange(len(topic.logged)) if first is None else np.array(first.rows)
-    clock = clocks[0] if clocks else next(iter(topics))
-    zero = stamps_of[clock][rows[clock][0]]
-    for name, topic in topics.items():
-        for key, column in topic.columns.items():
-            own = np.array(column.rows)
-            if name != clock or not np.array_equal(own, rows[clock]):
-                times[key] = 1e-9 * (stamps_of[name][own] - zero)
-    columns |= {name: 1e-9 * (stamps_of[name][rows[name]] - zero) for name in clocks}
-    return Table(
-        path,
-        {name: columns[name] for name in wanted},
-        lambda k: f"message {rows[clock][k] + 1} of {clock}",
-        stamps=frozenset(clocks),
-        times=times,
-    )
 
 
 def _short(kind: str) -> str:

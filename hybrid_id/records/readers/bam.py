@@ -18,7 +18,6 @@ actuators", ICRA 2025, arXiv 2410.08650. One object with header keys (`mass` kg,
 """
 
 import gzip
-import zlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.reading import parse_json, read_bytes
-from hybrid_id.records.readers.table import Table, require_columns
+from hybrid_id.records.readers.table import Table, parsing, require_columns
 
 FULL_DUTY = 885  # counts of the PWM register at 100 %
 LARGEST = 1e300
@@ -80,11 +79,9 @@ def bam_names(path: Path) -> list[str]:
 
 def _load(path: Path) -> dict[str, Any]:
     """Read the JSON object and check its outer layout."""
-    try:
+    with parsing(path, "BAM log"):
         raw = read_bytes(path, _MOST_BYTES, "BAM log")
         log = parse_json(gzip.decompress(raw) if path.suffix == ".gz" else raw, path)
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
     entries = log.get("entries") if isinstance(log, dict) else None
     if not isinstance(entries, list) or not entries or not isinstance(entries[0], dict):
         raise InputError(f"{path} is no BAM log: it needs a list 'entries' of samples; give its 'format'")

@@ -9,7 +9,6 @@ file with no header line has columns called `1`, `2`, ...
 import csv
 import gzip
 import math
-import zlib
 from collections.abc import Collection, Generator, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
@@ -20,10 +19,18 @@ from typing import NoReturn, TextIO
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import PIECE, Table, TimeRange, refuse_excess, require_columns
+from hybrid_id.records.readers.table import (
+    PIECE,
+    Table,
+    TimeRange,
+    parsing,
+    refuse_excess,
+    require_columns,
+)
 
 HEADER_LIMIT = 200  # lines in which the header must come
 LONGEST_LINE = 1_000_000  # signs
+_KIND = "text table in UTF-8"
 DECIMAL_COMMA = (";", "\t")  # delimiters beside which a comma may be the decimal sign
 
 
@@ -34,7 +41,7 @@ def read_csv(path: Path, wanted: Collection[str], time_range: TimeRange | None =
         InputError: naming file, row and column, for a missing column, a cell that is no finite number, rows
             of unequal length, or a damaged file.
     """
-    try:
+    with parsing(path, _KIND, "save it as CSV, or give its 'format'"):
         with _open(path) as file:
             layout = _Layout.of(file, path)
         if not layout.has_header and not set(wanted) <= set(layout.names):
@@ -45,12 +52,6 @@ def read_csv(path: Path, wanted: Collection[str], time_range: TimeRange | None =
         require_columns(path, wanted, layout.names)
         with closing(_pieces(path, layout, wanted, None if time_range is None else PIECE)) as pieces:
             values, kept = (next(pieces), None) if time_range is None else time_range.gather(pieces)
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise InputError(
-            f"{path} is not a text table in UTF-8; save it as CSV, or give its 'format'"
-        ) from None
     return Table(
         path, values, lambda k: f"row {_file_row(path, layout, k if kept is None else int(kept[k]))}"
     )
@@ -58,13 +59,8 @@ def read_csv(path: Path, wanted: Collection[str], time_range: TimeRange | None =
 
 def csv_names(path: Path) -> list[str]:
     """Names of all columns of a text table, as its header gives them."""
-    try:
-        with _open(path) as file:
-            return _Layout.of(file, path).names
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"{path} is not a text table in UTF-8; save it as CSV") from None
+    with parsing(path, _KIND, "save it as CSV"), _open(path) as file:
+        return _Layout.of(file, path).names
 
 
 @dataclass(frozen=True)
@@ -145,6 +141,8 @@ def _pieces(
     except UnicodeDecodeError:
         raise
     except ValueError as error:  # text in a number's place, or a row longer than the first
+        if "out of memory" in str(error):
+            raise MemoryError from None
         _raise_for_bad_cell(path, layout, wanted, error)
 
 

@@ -17,13 +17,9 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.reading import MOST_COLUMNS
-from hybrid_id.records.readers.mat_hdf5 import is_hdf5, load_hdf5
-from hybrid_id.records.readers.table import Table, refuse_excess, require_columns
+from hybrid_id.records.readers.mat_hdf5 import MOST_VARIABLES, NUMBERS, is_hdf5, load_hdf5
+from hybrid_id.records.readers.table import Table, parsing, refuse_excess, require_columns
 
-_NUMBERS = {"double", "single", "logical"} | {
-    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
-_MOST_VARIABLES = 10_000
 _EMPS = ("qm", "qg", "vir", "gtau")
 
 
@@ -51,18 +47,25 @@ def _columns(
 ) -> tuple[dict[str, np.ndarray], dict[str, float | str], list[str]]:
     """Columns, single numbers, and in version 7.3 the variables that are left unread."""
     others: list[str] = []
-    try:
-        if is_hdf5(path):
-            variables, others = load_hdf5(path, [*wanted, *_EMPS])
-        else:
-            variables = _load(path)
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged file can make its parser stumble in any way
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:120]
-        raise InputError(
-            f"{path} is not a readable MATLAB file ({reason}); write it again with '-v7'"
-        ) from None
+    if is_hdf5(path):
+        variables, others = load_hdf5(path, [*wanted, *_EMPS])
+    else:
+        with parsing(path, "MATLAB file", "write it again with '-v7'"):
+            # no cell or structure is so much as looked into: they lie in one another as deep as a file likes
+            from scipy.io import loadmat, whosmat
+
+            listed = whosmat(path)
+            if len(listed) > MOST_VARIABLES:
+                raise InputError(f"{path} holds {len(listed)} variables; save the few that are needed")
+            plain = []
+            counts = Counter(
+                name for name, _, _ in listed
+            )  # of two by one name, the library might follow the other
+            for name, shape, kind in listed:
+                small = len(shape) == 2 and (1 in shape or shape[1] <= MOST_COLUMNS)
+                if kind in NUMBERS and small and counts[name] == 1:
+                    plain.append(name)
+            variables = loadmat(path, variable_names=plain)
     columns: dict[str, np.ndarray] = {}
     scalars: dict[str, float | str] = {}
     for name, value in variables.items():
@@ -81,22 +84,3 @@ def _columns(
         if isinstance(gain := scalars.get("gtau"), float):
             columns["tau1"] = gain * columns["vir"]
     return columns, scalars, others
-
-
-def _load(path: Path) -> dict[str, np.ndarray]:
-    """Variables that are plain vectors and matrices of numbers; no cell or structure is so much as looked into.
-
-    Cells lie in one another as deep as a file likes, and the library follows them until the process ends.
-    """
-    from scipy.io import loadmat, whosmat
-
-    found = whosmat(path)
-    if len(found) > _MOST_VARIABLES:
-        raise InputError(f"{path} holds {len(found)} variables; save the few that are needed")
-    wanted = []
-    counts = Counter(name for name, _, _ in found)  # of two by one name, the library might follow the other
-    for name, shape, kind in found:
-        small = len(shape) == 2 and (1 in shape or shape[1] <= MOST_COLUMNS)
-        if kind in _NUMBERS and small and counts[name] == 1:
-            wanted.append(name)
-    return loadmat(path, variable_names=wanted)

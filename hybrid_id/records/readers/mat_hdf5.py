@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.unpack import may_inflate, refuse_growth, refuse_inflating
+from hybrid_id.records.readers.table import parsing
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _STARTS = (0, 512)  # MATLAB puts a header of its own before the HDF5 file
-_NUMBERS = {"double", "single", "logical"} | {f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)}
+NUMBERS = {"double", "single", "logical"} | {f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)}
 _DEFLATE, _SHUFFLE, _FLETCHER = 1, 2, 3  # filters by their HDF5 numbers
-_MOST_VARIABLES = 10_000
+MOST_VARIABLES = 10_000
 _MOST_COLUMNS = 1000  # of one matrix
 
 
@@ -46,32 +46,22 @@ def load_hdf5(path: Path, wanted: Collection[str]) -> tuple[dict[str, np.ndarray
         raise InputError(
             f"{path} is a MATLAB 7.3 file, which needs h5py; install it with pip install 'hybrid_id[logs]'."
         ) from None
-    try:
-        with h5py.File(path, "r") as file:
-            return _load(path, file, {re.sub(r"\W.*", "", name) for name in wanted})
-    except (InputError, FileNotFoundError, PermissionError):
-        raise
-    except Exception as error:  # a damaged file can make its parser stumble in any way
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:100]
-        raise InputError(
-            f"{path} is not a readable MATLAB 7.3 file ({reason}); write it again, or with '-v7'"
-        ) from None
-
-
-def _load(path: Path, file: Any, wanted: Collection[str]) -> tuple[dict[str, np.ndarray], list[str]]:
-    if len(file) > _MOST_VARIABLES:
-        raise InputError(f"{path} holds {len(file)} variables; save the few that are needed")
+    needed = {re.sub(r"\W.*", "", name) for name in wanted}
     variables, others = {}, []
-    for name in file:
-        fault = _fault(file, name)
-        if fault and name in wanted:
-            raise InputError(f"{path}: variable '{name}' is {fault}, which is not read; save plain vectors")
-        if not fault and (name in wanted or file[name].size == 1):
-            _refuse_bomb(path, file[name])
-            values = file[name][()]
-            variables[name] = np.atleast_2d(values).T  # MATLAB's columns are HDF5's rows
-        elif not fault:
-            others.append(name)
+    opened: Any = h5py.File
+    with parsing(path, "MATLAB 7.3 file", "write it again, or with '-v7'"), opened(path, "r") as file:
+        if len(file) > MOST_VARIABLES:
+            raise InputError(f"{path} holds {len(file)} variables; save the few that are needed")
+        for name in file:
+            fault = _fault(file, name)
+            if fault and name in needed:
+                raise InputError(
+                    f"{path}: variable '{name}' is {fault}, which is not read; save plain vectors"
+                )
+            if not fault and (name in needed or file[name].size == 1):
+                variables[name] = np.atleast_2d(file[name][()]).T  # MATLAB's columns are HDF5's rows
+            elif not fault:
+                others.append(name)
     return variables, others
 
 
@@ -88,7 +78,7 @@ def _fault(file: Any, name: str) -> str:
         return f"a {kind[:40] or 'group'}"
     if h5py.check_ref_dtype(item.dtype):
         return f"a {kind[:40] or 'list'} of object references"
-    if item.dtype.kind not in "fiub" or (kind and kind not in _NUMBERS):
+    if item.dtype.kind not in "fiub" or (kind and kind not in NUMBERS):
         return f"of class {kind[:40] or item.dtype.name[:40]}"
     if item.ndim > 2 or (item.ndim == 2 and 1 not in item.shape and len(item) > _MOST_COLUMNS):
         return f"an array of shape {item.shape[::-1]}"
@@ -97,15 +87,3 @@ def _fault(file: Any, name: str) -> str:
     plan = item.id.get_create_plist()
     codes = {plan.get_filter(k)[0] for k in range(plan.get_nfilters())}
     return f"packed by HDF5 filter {max(codes)}" if codes - {_DEFLATE, _SHUFFLE, _FLETCHER} else ""
-
-
-def _refuse_bomb(path: Path, item: Any) -> None:
-    """Raise InputError where an array, or one of its pieces, unpacks beyond what a record has."""
-    refuse_growth(path, path.stat().st_size, item.nbytes)
-    if item.chunks is None:
-        return
-    large: list[Any] = []
-    item.id.chunk_iter(lambda chunk: large.append(chunk) if may_inflate(chunk.size) else None)
-    for chunk in large:
-        _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
-        refuse_inflating(path, packed)

@@ -1,6 +1,6 @@
 """Parquet tables; a column of time stamps of the day becomes seconds since the first one."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,14 +8,10 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.readers.table import PIECE, Table, TimeRange, parsing, require_columns
-from hybrid_id.records.readers.unpack import refuse_growth
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
-
-_MOST_FOOTER = 64_000_000
-"""Bytes that say how a file is laid out; they grow with its columns times its groups of rows."""
 
 
 def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | None = None) -> Table:
@@ -27,20 +23,22 @@ def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | No
     import pyarrow as pa
 
     kept = None
-    try:
+    with parsing(path, "Parquet file"):
         file = open_parquet(path)
         require_columns(path, wanted, file.schema_arrow.names)
         if time_range is None or not file.metadata.num_rows:  # an empty file comes in no pieces at all
-            refuse_growth(path, path.stat().st_size, 8 * len(wanted) * file.metadata.num_rows)
-            columns = next(_pieces(path, [file.read(list(wanted))], wanted))
+            columns = next(_pieces(path, [file.read(list(wanted), use_threads=False)], wanted))
         else:
-            batches = (pa.Table.from_batches([b]) for b in file.iter_batches(PIECE, columns=list(wanted)))
-            columns, kept = time_range.gather(_pieces(path, batches, wanted))
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
-        raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
+            batches = file.iter_batches(PIECE, columns=list(wanted), use_threads=False)
+            tables = (pa.Table.from_batches([batch]) for batch in batches)
+            columns, kept = time_range.gather(_pieces(path, tables, wanted))
     stamps = frozenset(n for n in columns if pa.types.is_timestamp(file.schema_arrow.field(n).type))
-    return Table(path, columns, _row(kept), stamps=stamps)
+    return Table(
+        path,
+        columns,
+        lambda k: f"row {(k if kept is None else int(kept[k])) + 1} of the table",
+        stamps=stamps,
+    )
 
 
 def parquet_names(path: Path) -> list[str]:
@@ -50,27 +48,10 @@ def parquet_names(path: Path) -> list[str]:
 
 
 def open_parquet(path: Path) -> "pq.ParquetFile":
-    """Open a Parquet file whose layout can be read without being a burden.
-
-    Raises:
-        InputError: it has more columns, or pieces of them, than any record.
-    """
+    """Open a Parquet file; its columns are read one after the other, for each thread would take memory of its own."""
     import pyarrow.parquet as pq
 
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(max(size - 8, 0))
-        footer = int.from_bytes(file.read(4), "little")
-    if _MOST_FOOTER < footer < size:  # a longer one than the file is refused by the library
-        raise InputError(
-            f"{path} has more columns or groups of rows than any record; leave out what is not needed"
-        )
-    return pq.ParquetFile(path)
-
-
-def _row(kept: np.ndarray | None) -> Callable[[int], str]:
-    """Words for the place of each sample, of a table or of the rows that were kept of it."""
-    return lambda k: f"row {(k if kept is None else int(kept[k])) + 1} of the table"
+    return pq.ParquetFile(path, pre_buffer=False)
 
 
 def _pieces(

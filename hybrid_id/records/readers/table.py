@@ -1,7 +1,11 @@
 """What every reader returns: columns of numbers, and words for the place of each sample."""
 
 import difflib
+import gzip
 import re
+import resource
+import threading
+import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -106,12 +110,25 @@ def refuse_excess(path: Path, names: Collection[str]) -> None:
         raise InputError(f"{path}: the name of column {words}; rename it")
 
 
+MOST_MEMORY, MEMORY_RATIO = 1_000_000_000, 100
+"""Bytes of memory that reading any file may take, and beyond those bytes for one of the file.
+
+Tables of numbers unpack to 20 times their size at most; deflate's limit is 1032, and formats that repeat a number know
+none.
+"""
+_ONE_AT_A_TIME = threading.RLock()
+
+
 @contextmanager
 def parsing(path: Path, kind: str, remedy: str = "write it again") -> Iterator[None]:
-    """Say of a damaged file that it is not readable: it can make its parser stumble in any way.
+    """Bound the memory that a file's parser gets, and say of a damaged file that it is not readable.
+
+    A damaged file can make its parser stumble in any way, and a hostile one is made to unpack to any size. The bound is
+    the operating system's (``RLIMIT_DATA``), of this whole process while the file is read; where there is no ``/proc``
+    there is none.
 
     Args:
-        path: The file.
+        path: The file, or a bag's folder.
         kind: What it should be, `Parquet file`.
         remedy: What to do.
 
@@ -119,12 +136,39 @@ def parsing(path: Path, kind: str, remedy: str = "write it again") -> Iterator[N
         InputError: as it came, or in place of any other error but those of reaching the file.
     """
     try:
-        yield
+        with _bounded_memory(path):
+            yield
     except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
         raise
+    except MemoryError:
+        raise InputError(
+            f"{path} unpacks to more than fits into memory, or than {MEMORY_RATIO} times its size and "
+            f"{MOST_MEMORY / 1e6:g} MB, which no record does; bring it uncompressed if it is one"
+        ) from None
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
     except Exception as error:
         reason = " ".join((str(error) or type(error).__name__).split()).replace(str(path), "it").rstrip(".")
         raise InputError(f"{path} is not a readable {kind} ({reason[:120]}); {remedy}") from None
+
+
+@contextmanager
+def _bounded_memory(path: Path) -> Iterator[None]:
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        yield
+        return
+    size = sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else (path,)))
+    with _ONE_AT_A_TIME:
+        before = resource.getrlimit(resource.RLIMIT_DATA)
+        used = int(statm.read_text().split()[5]) * resource.getpagesize()
+        limits = [limit for limit in before if limit != resource.RLIM_INFINITY]
+        most = min(used + MOST_MEMORY + MEMORY_RATIO * size, *limits, 2**62)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
 def record_name(path: Path) -> str:
