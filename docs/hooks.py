@@ -1,4 +1,4 @@
-"""Pages made from the package and notebooks: equation sheets, Python interface; links out of docs/ are turned in."""
+"""Pages made from the package and notebooks: equations, effects, Python interface; links out of docs/ are turned in."""
 
 import inspect
 import json
@@ -9,6 +9,7 @@ from pathlib import Path
 from mkdocs.structure.files import File
 
 import hybrid_id
+from hybrid_id.cli.lists import markdown_tables
 from hybrid_id.components import PLACES, REGISTRY, Component
 
 CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
@@ -36,6 +37,7 @@ def on_files(files, config):
     pages = {
         "equations.md": equations(),
         "api.md": api(),
+        "catalogue.md": catalogue(),
         "contributing.md": CONTRIBUTING.read_text(encoding="utf-8"),
         **{f"notebook_{path.stem}.md": notebook(path) for path in NOTEBOOKS},
     }
@@ -77,6 +79,11 @@ def equations() -> str:
             if part.places[0] == place:
                 parts += [f"### `{kind}`", sheet(part)]
     return "\n\n".join(parts) + "\n"
+
+
+def catalogue() -> str:
+    """What `hybrid-id effects --markdown` prints."""
+    return f"# Effects that a diagnosis can name\n\n{markdown_tables()}\n"
 
 
 def sheet(part: type[Component]) -> str:

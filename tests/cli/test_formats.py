@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 import yaml
 
 from hybrid_id.records.schema import DatasetFile
@@ -15,11 +16,11 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 FORMATS = (DOCS / "formats.md").read_text(encoding="utf-8")
 
 
-def test_table_of_components_is_the_one_that_the_command_prints(run) -> None:
-    assert run("components", "--markdown").out.strip() in FORMATS
-    words = run("components")
-    assert words.code == 0
-    assert "coulomb_friction" in words.out
+@pytest.mark.parametrize("command, name", [("components", "coulomb_friction"), ("effects", "backlash")])
+def test_commands_print_the_tables_that_the_docs_leave_to_them(run, command: str, name: str) -> None:
+    words, table = run(command), run(command, "--markdown")
+    assert words.code == table.code == 0 and name in words.out
+    assert f"| `{name}` | " in table.out and "\n| --- | " in table.out
 
 
 def test_examples_are_sound() -> None:

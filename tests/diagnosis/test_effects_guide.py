@@ -1,4 +1,4 @@
-"""The effect that docs/effects.md adds is run as it stands there, and its table is that of the catalogue."""
+"""The effect that docs/effects.md adds is run as it stands there."""
 
 # pyright: reportCallIssue=false
 
@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 from gapcase import small_case
 
-from hybrid_id.cli.lists import EFFECT_HEADS, effect_rows, pair_rows
 from hybrid_id.components.base import REGISTRY
-from hybrid_id.diagnosis.catalogue import CATALOGUE, SIDES, rivals
+from hybrid_id.diagnosis.catalogue import CATALOGUE, rivals
 from hybrid_id.diagnosis.diagnose import diagnose
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
@@ -51,13 +50,3 @@ def test_effect_of_the_guide_is_found() -> None:
     assert first.candidates[0].effects == (("cubic_spring", "joint1/load"),)
     assert first.candidates[0].validation.error < 0.05 * first.candidates[1].validation.error
     assert set(candidates["cubic_spring"].parameters) == {"k_3"}
-
-
-def test_table_of_the_guide_is_the_catalogue() -> None:
-    text = GUIDE.read_text(encoding="utf-8")
-    cells = r" \| ".join(["([^`|]*)"] * (len(EFFECT_HEADS) - 1))
-    rows = re.findall(rf"^\| `(\w+)` \| {cells} \|$", text, re.MULTILINE)
-    assert rows == effect_rows(), "print it anew: hybrid-id effects --markdown"
-    pairs = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) \|$", text, re.MULTILINE)
-    assert pairs == pair_rows()
-    assert SIDES in text
