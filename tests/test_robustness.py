@@ -22,7 +22,7 @@ from hybrid_id.cli import folder as folders
 from hybrid_id.cli.folder import live_folder
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
-from hybrid_id.identification.checkpoint import read_checkpoint
+from hybrid_id.identification.keep import read_checkpoint
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.readers.unpack import FREE
 from hybrid_id.systems import one_link

@@ -102,10 +102,6 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
     from hybrid_id.study.ablation_plan import plan, records_beyond
 
     wish, how = config.ablation or Ablation(), config.hybrid or Hybrid()
-    prices = wish.price or how.prices
-    if sorted(set(prices), reverse=True) != list(prices):
-        with config.at("ablation.price"):
-            raise InputError(f"the prices {list(prices)} are no ladder; give falling numbers")
     if system.learned:
         raise InputError(
             f"model {config.model} has a network ({listed(system.learned)}); give one without, to which the ablation "
@@ -113,7 +109,7 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
         )
     first = how.networks[0] if how.networks else Hybrid().networks[0]
     task = Task(
-        dataset, system, ode_engine(config), hybrid_options(config, how.model_copy(update={"prices": prices})),
+        dataset, system, ode_engine(config), hybrid_options(config, how),
         tuple(first.inputs), wish.memory, first.lipschitz, wish.validation, wish.test, tuple(wish.out_of_range),
         wish.horizon, config.preprocessing.signal_share,
     )  # fmt: skip

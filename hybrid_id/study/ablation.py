@@ -17,10 +17,9 @@ from pydantic import BeforeValidator, TypeAdapter
 
 from hybrid_id import __version__
 from hybrid_id.identification.adjoint import Snapshot
-from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_physics, train_hybrid
 from hybrid_id.identification.keep import digest_of
 from hybrid_id.identification.networks import with_memory
-from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import hidden_beside
@@ -184,7 +183,7 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
     """
     start, split, options = time.perf_counter(), task.split(cell.seed), replace(task.options, seed=cell.seed)
     if cell.arm.residual == BLACK_BOX:
-        options = replace(options, prices=(0.0,))
+        options = replace(options, price=0.0)
     by_name = {record.name: record for record in task.dataset}
 
     def batch(system: System, names: tuple[str, ...]) -> Batch:
@@ -208,10 +207,10 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
         )  # fmt: skip
         if result.interrupted:
             raise KeyboardInterrupt
-        rungs = [_of_ladder(task, result, k, train, everything) for k in range(len(result.rungs))]
+        rungs = [_of_ladder(task, result, k, train, everything) for k in range(len(result.models))]
         chosen, best = result.chosen, result.system
         if cell.arm.residual == BLACK_BOX:  # its first rung, a constant acceleration, is no arm of its own
-            rungs, chosen, best = rungs[-1:], 0, result.rungs[-1].system
+            rungs, chosen, best = rungs[-1:], 0, result.models[-1].system
     steps = [step for step, _ in history.history.get("loss/train", [])]
     # a network alone that stands for an arm has no description that a model file could name
     described = best.tree is not None or best.name in SKELETON
@@ -223,9 +222,11 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
 
 def _of_ladder(task: Task, result: HybridResult, k: int, train: Batch, everything: Batch) -> Rung:
     """One rung of a training's ladder, tested."""
-    of = result.rungs[k]
+    of = result.models[k]
     names = [info.name for info in of.system.table if info.spec.estimate]
-    rung = _rung(task, of.system, result.engine, train, everything, of.price, of.status)
+    rung = _rung(
+        task, of.system, result.engine, train, everything, result.price if k else torch.inf, of.status
+    )
     return replace(rung, std_errors=dict(zip(names, of.errors.tolist(), strict=True)))
 
 

@@ -11,9 +11,8 @@ import torch
 from joblib import Parallel, delayed
 
 from hybrid_id.identification.fit import fit_records
-from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
+from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon, settled
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.settled import settled
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first, whole_pool
 from hybrid_id.study.replays import batch_of

@@ -13,8 +13,8 @@ from servo_arm import described
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.identification.checkpoint import fingerprint
-from hybrid_id.identification.training_loop import HybridOptions
+from hybrid_id.identification.hybrid import HybridOptions
+from hybrid_id.identification.keep import fingerprint
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.files import plain
 from hybrid_id.simulation.prepare import make_batch
@@ -51,7 +51,7 @@ def task() -> Task:
     model = model.with_specs(
         {n: replace(model.parameter(n).spec, estimate=False) for n in ("P_m1", "P_m2", "F_v")}
     )
-    options = HybridOptions(prices=(1.0,), windows=(), max_iterations=2)
+    options = HybridOptions(windows=(), max_iterations=2)
     return Task(
         data, model, OdeEngine(fine=4, width=2.0), options, ("speed",), beyond=("run_4",), horizon=0.03
     )
