@@ -443,16 +443,16 @@ def settled(
     """
     if not sets or not horizon.simulates(sets[0].system, batch):
         return sets
-    loss = (settings.get("options") or Options()).loss
-    as_it_is = {"options": replace(settings.get("options") or Options(), max_iterations=0)}
-    as_it_is = settings | as_it_is | {"warm": False, "starts": 1}
+    options: Options = settings.get("options") or Options()
+    as_it_is: dict[str, Any] = {**settings, "options": replace(options, max_iterations=0)}
+    as_it_is |= {"warm": False, "starts": 1}
 
     def cut_anew(result: FitResult) -> tuple[Batch, Tensor, float]:
         """Pieces that begin as a set's values say, the first states of free runs over them, and what these cost."""
         part = horizon.cut(result.system, result.engine, own)
         run = free_runs(result.system, with_substeps(result.system, result.engine, part), part)
         errors = ((run.y - part.y) * part.weight)[part.weight > 0]
-        return part, run.x[:, 0], float(loss.value(errors).sum())
+        return part, run.x[:, 0], float(options.loss.value(errors).sum())
 
     found = []
     for result in sets:
