@@ -298,7 +298,7 @@ def study() -> Files:
     values = {
         "dataset": "data", "model": "model.yaml", "identification": {"pooled": True, "starts": 2, "window": 0.5},
         "training": {"windows": [[0.2, 4]], "fine": 8}, "preprocessing": {"between": [0.0, 1.0]},
-        "hybrid": {"networks": [{"place": "joint1/motor", "inputs": ["speed"], "hidden": [8]}], "prices": [1.0]},
+        "hybrid": {"networks": [{"place": "joint1/motor", "inputs": ["speed"], "hidden": [8]}], "price": 1.0},
         "ablation": {"residual": ["static"], "seeds": 2}, "gap": {"max_effects": 2}, "output": {"report": False},
     }  # fmt: skip
     return {"study.yaml": yaml.safe_dump(values).encode()}
@@ -307,7 +307,7 @@ def study() -> Files:
 def checkpoint() -> Files:
     import torch
 
-    from hybrid_id.identification.checkpoint import write_checkpoint
+    from hybrid_id.identification.keep import write_checkpoint
 
     content = {"theta": torch.ones(5), "step": 3, "names": ["a"], "inner": {"b": torch.zeros(2, 2)}}
     return written(lambda path: write_checkpoint(path, content, ["kind", "print"]), "checkpoint.pt")
@@ -316,7 +316,7 @@ def checkpoint() -> Files:
 def read_checkpoint(folder: Path) -> None:
     import torch
 
-    from hybrid_id.identification.checkpoint import read_checkpoint as read
+    from hybrid_id.identification.keep import read_checkpoint as read
 
     read(folder / "checkpoint.pt", ["kind", "print"], lambda content: content, torch.device("cpu"))
 

@@ -90,7 +90,7 @@ def ablation(folder: Path) -> Job:
     make_drive(folder, 4)
     study = {
         "dataset": ".", "model": "model.yaml", "output": QUIET, "training": {"width": 2.0, "fine": 4},
-        "hybrid": {"networks": [{"inputs": ["speed"], "hidden": [3]}], "prices": [1.0], "windows": [],
+        "hybrid": {"networks": [{"inputs": ["speed"], "hidden": [3]}], "price": 1.0, "windows": [],
                    "max_iterations": 1},
         "ablation": {"residual": ["static"], "seeds": REPEATS},
     }  # fmt: skip

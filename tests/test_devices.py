@@ -70,12 +70,10 @@ def adjoint(system: System, batch: Batch) -> list[Tensor]:
 
 
 def hybrid(system: System, batch: Batch, **settings) -> list[Tensor]:
-    options = HybridOptions(
-        prices=(1.0,), windows=((0.1, 1),), max_iterations=1, validate_every=1, **settings
-    )
+    options = HybridOptions(price=1.0, windows=((0.1, 1),), max_iterations=1, validate_every=1, **settings)
     rows = [torch.tensor([k], device=batch.x.device) for k in (0, 1)]
     found = train_hybrid(system, *map(batch.take, rows), engine=OdeEngine(fine=4, width=2.0), options=options)
-    return [part.detach() for rung in found.rungs for part in rung.system.parameters()]
+    return [part.detach() for model in found.models for part in model.system.parameters()]
 
 
 DRY, SMOOTH = Engine("dry"), Engine("smooth", 2, 1.0)

@@ -21,7 +21,7 @@ from hybrid_id.cli import folder as folders
 from hybrid_id.cli.folder import live_folder
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
-from hybrid_id.identification.checkpoint import read_checkpoint
+from hybrid_id.identification.keep import read_checkpoint
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.readers import table
 

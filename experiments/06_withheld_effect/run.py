@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from machine import make
-from score import ladder, off_truth, spread
+from score import off_truth, outcome, spread
 
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult
 from hybrid_id.records.yaml_file import read_yaml
@@ -23,7 +23,6 @@ torch.set_num_threads(1)
 config = read_yaml(Path(__file__).with_name("config.yaml"))
 machine = make(config, kind, seed)
 wish: dict[str, Any] = dict(config["machines"][kind]["training"])
-wish["prices"] = tuple(wish["prices"])
 if "windows" in wish:
     wish["windows"] = tuple(map(tuple, wish["windows"]))
 options = HybridOptions(**wish)
@@ -31,11 +30,11 @@ engine = OdeEngine(fine=8, width=config["width"])
 
 
 study = hybridise(machine.dataset, machine.model, engine=engine, options=options, signal_share=0.0)
-print(*ladder(machine, study), *spread(machine, study), sep="\n", flush=True)
+print(*outcome(machine, study), *spread(machine, study), sep="\n", flush=True)
 print(*(f"! {warning}" for warning in study.warnings), sep="\n", flush=True)
 if kind in config["unpriced"]:
-    free = replace(options, prices=(0.0,))
+    free = replace(options, price=0.0)
     result: HybridResult = hybridise(
         machine.dataset, machine.model, engine=engine, options=free, signal_share=0.0
     ).result
-    print("  without any price:", off_truth(machine, result.rungs[-1]))
+    print("  without any price:", off_truth(machine, result.models[-1]))

@@ -24,14 +24,18 @@ pairs = []
 for gain in gains:
     result = rotate(config, records, gain)
     batch = prepare(config, result.system, [r for r in records if r.signal(config["held_out"])[0] == gain])
-    for k, rung in enumerate(result.rungs):
-        found, mark = mean_errors(rung.system, result.engine, batch), "*" if k == result.chosen else " "
-        print(f"{mark} gain {gain:g} price {rung.price:<4g} validation {rung.validation:8.3f}  ", end="")
+    for k, model in enumerate(result.models):
+        found, mark = mean_errors(model.system, result.engine, batch), "*" if k == result.chosen else " "
         print(
-            f"test {found.mean():.4f} rad ({', '.join(f'{e:.4f}' for e in found)})  {rung.status}", flush=True
+            f"{mark} gain {gain:g} {'hybrid ' if k else 'physics'} validation {model.validation:8.3f}  ",
+            end="",
+        )
+        print(
+            f"test {found.mean():.4f} rad ({', '.join(f'{e:.4f}' for e in found)})  {model.status}",
+            flush=True,
         )
     alone, chosen = (
-        mean_errors(r.system, result.engine, batch) for r in (result.rungs[0], result.rungs[result.chosen])
+        mean_errors(r.system, result.engine, batch) for r in (result.models[0], result.models[result.chosen])
     )
     pairs += list(zip(alone, chosen, strict=True))
 alone, hybrid = np.array(pairs).T

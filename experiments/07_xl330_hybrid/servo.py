@@ -32,7 +32,7 @@ def rotate(config: Mapping[str, Any], records: Sequence[Record], gain: float) ->
     looked = [group[config["validates"]] for group in rest]
     train = [record for group in rest for record in group if record not in looked]
     system, wish = build(config), dict(config["training"])
-    wish |= {"prices": tuple(wish["prices"]), "windows": tuple(map(tuple, wish["windows"]))}
+    wish |= {"windows": tuple(map(tuple, wish["windows"]))}
     options = HybridOptions(**wish, loss=Loss("huber", delta=config["loss"]))
     engine = OdeEngine(fine=config["fine"], width=config["width"])
     data, held = prepare(config, system, train), prepare(config, system, looked)

@@ -11,7 +11,7 @@ import torch
 from arm import build, split
 from rich.console import Console
 
-from hybrid_id.identification.training_loop import HybridOptions
+from hybrid_id.identification.hybrid import HybridOptions
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml
@@ -57,7 +57,7 @@ def main(folder: Path, design: str) -> None:
     )
     inputs = tuple(Channel(f"tau{k}", "N m") for k in (1, 2))
     dataset = Dataset(f"dfki_{design}", inputs, outputs, tuple(parts))
-    wish = config["training"] | {k: tuple(config["training"][k]) for k in ("prices", "windows")}
+    wish = config["training"] | {"windows": tuple(config["training"]["windows"])}
     task = Task(
         dataset, system, OdeEngine(fine=4, width=config["width"]), HybridOptions(**wish), INPUTS,
         horizon=config["window"] / 2, signal_share=0.0,

@@ -14,7 +14,7 @@ from hybrid_id.simulation.solvers import OdeEngine
 torch.set_num_threads(1)
 config = read_yaml(Path(__file__).with_name("config.yaml"))
 data = Path(sys.argv[1] if len(sys.argv) > 1 else config["data"])
-wish = config["training"] | {k: tuple(config["training"][k]) for k in ("prices", "windows")}
+wish = config["training"] | {"windows": tuple(config["training"]["windows"])}
 engine = OdeEngine(fine=4, width=config["width"])
 half, sparse = 0.5 * config["window"], config["every"] * config["window"]
 
@@ -28,6 +28,6 @@ for design in sys.argv[2:] or config["designs"]:
         told(f"{design} publisher, {name}, {windows.rows} windows", model.angles(system, windows), windows)
     batches = (pieces(config, system, records, sparse) for records in (train, looked))
     result = train_hybrid(system, *batches, engine=engine, options=HybridOptions(**wish))
-    for rung in result.rungs:
-        name = f"{design} price {rung.price:g}{' chosen' if rung is result.rungs[result.chosen] else ''}"
-        told(name, simulate(rung.system, result.engine, windows).y, windows)
+    for k, trained in enumerate(result.models):
+        name = f"{design} {'hybrid' if k else 'physics'}{' chosen' if k == result.chosen else ''}"
+        told(name, simulate(trained.system, result.engine, windows).y, windows)

@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.reporting.page import Page
-    from hybrid_id.study.hybrid import HybridStudy
     from hybrid_id.systems.chain import System
 
 
@@ -114,9 +113,19 @@ def train(
                 raise InputError(
                     "--per-record has no meaning with networks, which all records share; leave it out"
                 )
+            from hybrid_id.components import ResidualNetwork
             from hybrid_id.study.hybrid import split
+            from hybrid_id.systems.by_joint import numbered
 
-            system = with_networks(system, config)
+            for k, network in enumerate([] if system.networks else config.hybrid.networks):
+                key, place = f"hybrid.networks[{k}]", numbered(system, network.place)
+                check_network(
+                    system, config, (f"{key}.place", network.place), (f"{key}.inputs", network.inputs)
+                )
+                wish = network.model_dump(exclude={"place"})
+                system = system.with_component(
+                    place, ResidualNetwork(**wish, seed=config.identification.seed)
+                )
             with config.at("hybrid.validation"):
                 trained, _ = split(dataset, config.hybrid.validation)
             check_windows(config, "hybrid.windows", trained)
@@ -136,19 +145,6 @@ def train(
                 raise typer.Exit(130)
 
 
-def _refuse_by_joint(config: StudyConfig, joints: list[str], *, resume: bool) -> None:
-    """Refuse what networks joint by joint have no use for."""
-    if config.hybrid is not None:
-        raise InputError(
-            "--joint learns one kind of network by itself; leave it out for those of the section 'hybrid', or take "
-            "that section out"
-        )
-    if "all" in joints and len(set(joints)) > 1:
-        raise InputError("--joint all takes every joint; leave the others out")
-    if resume:
-        raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
-
-
 def by_joint(
     config: StudyConfig,
     home: Path,
@@ -160,7 +156,15 @@ def by_joint(
     threads: int,
 ) -> None:
     """Networks at a robot's joints, one by one: write the folder of results and print them."""
-    _refuse_by_joint(config, joints, resume=resume)
+    if config.hybrid is not None:
+        raise InputError(
+            "--joint learns one kind of network by itself; leave it out for those of the section 'hybrid', or take "
+            "that section out"
+        )
+    if "all" in joints and len(set(joints)) > 1:
+        raise InputError("--joint all takes every joint; leave the others out")
+    if resume:
+        raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
     remark_idle(config.identification, "train --joint")
     dataset = checked_records(config)
     with config.at("identification.window"):
@@ -272,15 +276,34 @@ def _hybrid(
     dataset: "Dataset", system: "System", config: StudyConfig, home: Path, *, resume: bool, as_json: bool
 ) -> bool:
     """Train physics with networks, write the folder of results and print them; whether Ctrl-C has stopped it."""
+    from hybrid_id.config.settings import hybrid_options, ode_engine
     from hybrid_id.reporting.hybrid import hybrid_page, hybrid_pictures, hybrid_result, hybrid_tables
     from hybrid_id.reporting.residuals import residual_result
     from hybrid_id.reporting.results import as_json as to_json
-    from hybrid_id.reporting.tensorboard import write_images
-    from hybrid_id.study.hybrid import hybrid_residuals, physics_alone
+    from hybrid_id.reporting.tensorboard import TrainingLog, write_images
+    from hybrid_id.study.hybrid import hybrid_residuals, hybridise, physics_alone
     from hybrid_id.systems.model_file import save_model
 
-    share = config.preprocessing.signal_share
-    study = _trained(dataset, system, config, home, resume=resume)
+    share, wish = config.preprocessing.signal_share, config.hybrid or Hybrid()
+    err, saved = console(stderr=True), home / CHECKPOINT
+    with (
+        TrainingLog(home / EVENTS) if config.output.tensorboard else nullcontext() as log,
+        err.status("physics alone") if err.is_terminal else nullcontext() as line,
+    ):
+
+        def progress(stage: str, count: int, loss: float) -> bool:
+            if line is not None:
+                line.update(
+                    f"{stage}: gradient {count}, error {(2.0 * loss) ** 0.5:.4g} (1 = as the noise says)"
+                )
+            return False
+
+        study = hybridise(
+            dataset, system, engine=ode_engine(config), options=hybrid_options(config, wish),
+            validation=wish.validation, device=config.identification.device, signal_share=share,
+            level=config.statistics.level, writer=log, checkpoint=saved, resume=saved if resume else None,
+            progress=progress,
+        )  # fmt: skip
     leave_without_checkpoint(home, interrupted=study.result.interrupted)
     residuals = hybrid_residuals(dataset, study, signal_share=share)
     content = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
@@ -309,51 +332,6 @@ def _hybrid(
         show(hybrid_tables(study, dataset))
         show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
     return study.result.interrupted or not whole
-
-
-def _trained(
-    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
-) -> "HybridStudy":
-    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
-    from hybrid_id.config.settings import hybrid_options, ode_engine
-    from hybrid_id.reporting.tensorboard import TrainingLog
-    from hybrid_id.study.hybrid import hybridise
-
-    wish = config.hybrid or Hybrid()
-    err, saved = console(stderr=True), folder / CHECKPOINT
-    with (
-        TrainingLog(folder / EVENTS) if config.output.tensorboard else nullcontext() as log,
-        err.status("physics alone") if err.is_terminal else nullcontext() as line,
-    ):
-
-        def progress(stage: str, count: int, loss: float) -> bool:
-            if line is not None:
-                line.update(
-                    f"{stage}: gradient {count}, error {(2.0 * loss) ** 0.5:.4g} (1 = as the noise says)"
-                )
-            return False
-
-        return hybridise(
-            dataset, system, engine=ode_engine(config), options=hybrid_options(config, wish),
-            validation=wish.validation, device=config.identification.device,
-            signal_share=config.preprocessing.signal_share, level=config.statistics.level, writer=log, checkpoint=saved,
-            resume=saved if resume else None, progress=progress,
-        )  # fmt: skip
-
-
-def with_networks(system: "System", config: StudyConfig) -> "System":
-    """The model with the networks that the config asks for."""
-    from hybrid_id.components import ResidualNetwork
-    from hybrid_id.systems.by_joint import numbered
-
-    wish = config.hybrid or Hybrid()
-    for k, network in enumerate([] if system.networks else wish.networks):
-        key, place = f"hybrid.networks[{k}]", numbered(system, network.place)
-        check_network(system, config, (f"{key}.place", network.place), (f"{key}.inputs", network.inputs))
-        settings = network.model_dump(exclude={"place"})
-        part = ResidualNetwork(**settings, seed=config.identification.seed)
-        system = system.with_component(place, part)
-    return system
 
 
 def check_network(

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from hybrid_id.config.sections import MOST_SEED, Neurons, Positive, Price, Section
+from hybrid_id.config.sections import MOST_SEED, Neurons, Positive, Section
 from hybrid_id.parameters import MOST_STATES
 
 MOST_REPEATS = 1000
@@ -43,15 +43,14 @@ Seeds = Annotated[
 class Ablation(Section):
     """What `ablate` compares; solver and stages are those of `training` and `hybrid`.
 
-    What the networks read, and their bound, are those of the first network of `hybrid`, as are `place`, `width` and
-    `price` where they are left out. Every combination is an arm, each with the same records and seeds.
+    What the networks read, and their bound, are those of the first network of `hybrid`, as are `place` and
+    `width` where they are left out. Every combination is an arm, each with the same records and seeds.
 
     Attributes:
         residual: kinds of networks beside the physics; `none` is always there, `black_box` is a network alone.
         place: where they act; a list in the list puts one network in each of its places.
         width: neurons of the hidden layer.
         reads: `own`: a network reads its own joint's signals; `all`: angle and speed of every other joint, too.
-        price: of the networks' output, falling; the validation records choose, and each one is reported.
         physics: what is taken out on purpose, one list an arm: components by place and kind, parameters by name.
         memory: hidden states of a network with memory.
         black_box_width: neurons of the network that stands alone.
@@ -68,7 +67,6 @@ class Ablation(Section):
     place: Distinct[Places] | None = None
     width: Distinct[Neurons] | None = None
     reads: Distinct[Literal["own", "all"]] = Field(default=["own"])
-    price: list[Price] | None = Field(default=None, min_length=1)
     physics: list[list[str]] = Field(default=[])
     memory: int = Field(default=2, ge=1, le=MOST_STATES)
     black_box_width: Neurons = 16

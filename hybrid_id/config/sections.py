@@ -157,33 +157,29 @@ class Hybrid(Section):
 
     Attributes:
         networks: what is added to the model; none where the model file has its own.
-        prices: of the networks' mean square output, falling; the validation records choose among them.
+        price: of the networks' mean square output, so that they add only what the physics cannot say.
         windows: stages in which the networks alone train, before the whole records, as in `training`.
         max_iterations, tolerance: of each stage.
         patience, validate_every: looks at the validation records without a gain that end a stage; gradients between.
-        worth: share by which a lower price has to lower the validation loss.
-        augmentation: what has the price: `norm`, the whole output, or `projection`, its overlap with the physics alone.
+        worth: share by which the networks have to lower the validation loss to be kept.
         optimizer: `gauss_newton`, or `adam` for networks of more than some hundred weights.
         rate, clip: of Adam: largest step of an unknown, and length to which gradients are clipped (Gauss-Newton's steps
             are damped instead).
-        precision: `float64` or `float32`.
         validation: names of the records that validate; by default the last fifth of the train records, and with one
             train record the test records.
     """
 
     networks: list[Network] = Field(default=[Network()], max_length=100)
-    prices: list[Price] = Field(default=[10.0, 1.0, 0.1, 0.01], min_length=1, max_length=100)
+    price: Price = 1.0
     windows: Stages = [(0.1, 4), (0.4, 2), (1.6, 1)]
     max_iterations: Count = 40
     tolerance: Positive = 0.1
     patience: Count = 10
     validate_every: Count = 2
     worth: float = Field(default=0.02, ge=0, lt=1)
-    augmentation: Literal["norm", "projection"] = "norm"
     optimizer: Literal["gauss_newton", "adam"] = "gauss_newton"
     rate: Positive = 0.01
     clip: Positive = 1.0
-    precision: Literal["float64", "float32"] = "float64"
     validation: list[str] | None = Field(default=None, min_length=1)
 
     @field_validator("networks")
@@ -193,13 +189,6 @@ class Hybrid(Section):
         if len(set(places)) < len(places):
             raise ValueError("a place takes one network, and two are given for the same; leave one out")
         return networks
-
-    @field_validator("prices")
-    @classmethod
-    def _ladder(cls, prices: list[float]) -> list[float]:
-        if sorted(set(prices), reverse=True) != prices:
-            raise ValueError("these prices are no ladder; give falling numbers")
-        return prices
 
     @field_validator("validation")
     @classmethod

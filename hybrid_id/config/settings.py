@@ -64,10 +64,9 @@ def hybrid_options(config: StudyConfig, wish: Hybrid) -> HybridOptions:
     from hybrid_id.identification.hybrid import HybridOptions
     from hybrid_id.identification.objective import Loss
 
-    same = ("max_iterations", "tolerance", "patience", "validate_every", "worth")
-    same += ("augmentation", "optimizer", "rate", "clip", "precision")
+    same = ("price", "max_iterations", "tolerance", "patience", "validate_every", "worth")
+    same += ("optimizer", "rate", "clip")
     return HybridOptions(
-        prices=tuple(wish.prices),
         windows=tuple(wish.windows),
         loss=Loss(config.identification.loss, config.identification.threshold),
         starts=config.identification.starts,

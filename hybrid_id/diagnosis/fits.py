@@ -30,13 +30,12 @@ from hybrid_id.identification.finite_differences import (
     slopes_at,
 )
 from hybrid_id.identification.fit import fit, kept_fit, make_bounds
-from hybrid_id.identification.horizons import WHOLE, Horizon, astray, free_runs, windows
+from hybrid_id.identification.horizons import WHOLE, Horizon, astray, free_runs, settled, windows
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
 from hybrid_id.identification.restarts import confirmed, perturbed_restarts
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.settled import settled
 from hybrid_id.identification.windows import hidden_links
 from hybrid_id.parameters import NARROWEST_PRIOR, Bounded
 from hybrid_id.records.dataset import Dataset

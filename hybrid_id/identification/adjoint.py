@@ -21,14 +21,13 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification import least_squares
-from hybrid_id.identification.checkpoint import fingerprint, read_state, write_state
 from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
-from hybrid_id.identification.least_squares import free_parameters
+from hybrid_id.identification.keep import as_content, fingerprint, read_checkpoint, write_checkpoint
+from hybrid_id.identification.least_squares import Options, Outcome, free_parameters
 from hybrid_id.identification.objective import Loss, evaluate
-from hybrid_id.identification.optimizers import QuasiNewtonState, advance, begin, prolonged
+from hybrid_id.identification.optimizers import GaussNewtonState, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.simulation.batch import Batch
@@ -45,7 +44,6 @@ class TrainOptions:
         max_iterations: gradients that a set may take in a stage.
         tolerance: a set has converged when the next step is shorter than this many standard errors.
         window_tolerance: the same in the stages of windows, which only prepare the last one.
-        refresh: accepted steps after which the metric is taken anew.
         loss: loss of the weighted residuals.
         validate_every: gradients between two evaluations of the validation records.
     """
@@ -54,7 +52,6 @@ class TrainOptions:
     max_iterations: int = 100
     tolerance: float = 0.01
     window_tolerance: float = 1.0
-    refresh: int = 1
     loss: Loss = field(default_factory=Loss)
     validate_every: int = 5
 
@@ -143,13 +140,17 @@ def train(
     sets, count = (torch.zeros_like(rows), 1) if pooled else (rows, batch.rows)
     if extra and count > 1:
         raise InputError("Weights beyond the table are shared by all records; train one record, or pooled.")
+    if len(extra) != sum(len(part.weights()) for part in system.networks.values()):
+        raise InputError("Weights beyond the table train in residual networks only; put them into one.")
     names = ("pooled",) if pooled and batch.rows > 1 else batch.names
     bounds = make_bounds(system, free, device)
     base = system.theta().detach().to(device)[:, None].repeat(1, count)
     whole = Problem(system, engine, batch, sets, free, bounds, base, extra, options.loss)
     identity = ["adjoint", fingerprint(system, [batch], pooled, engine, options.windows, options.loss)]
-    state = read_state(resume, identity, device) if resume else None
-    state = None if state is None else prolonged(state, options.max_iterations)
+    state = None
+    if resume is not None:
+        state = read_checkpoint(resume, identity, lambda content: GaussNewtonState(**content), device)
+        state = prolonged(state, options.max_iterations)
     interrupted, logged = False, 0
     try:
         for stage, window in enumerate([*options.windows, None]):
@@ -157,21 +158,36 @@ def train(
                 continue
             problem, tolerance = whole, options.tolerance
             if window is not None:
-                found = measured_windows(system, batch, *window)
-                if found is None:
+                cut = measured_windows(system, batch, *window)
+                if cut is None:
                     continue
-                problem, tolerance = (
-                    replace(whole, batch=found[0], sets=sets[found[1]]),
-                    options.window_tolerance,
-                )
+                problem, tolerance = replace(whole, batch=cut[0], sets=sets[cut[1]]), options.window_tolerance
             if state is not None:
                 problem.set_weights(state.q)
             if state is None or state.stage < stage:
                 state = begin(problem, base if state is None else problem.theta(state.q), stage, state)
             while not interrupted:
                 if writer is not None and state.iteration > logged:
-                    look = validation if state.iteration % options.validate_every == 0 else None
-                    writer.record(_snapshot(problem, state, names, look))
+                    problem.set_weights(state.q)
+                    theta, info = problem.theta(state.q), [system.table[i] for i in free]
+                    looked = None
+                    if validation is not None and state.iteration % options.validate_every == 0:
+                        exact = _exact(engine, state)
+                        looked = validation_loss(replace(problem, engine=exact), theta, validation)
+                    writer.record(
+                        Snapshot(
+                            step=state.iteration,
+                            names=names,
+                            table=tuple((i.component, i.symbol) for i in info),
+                            values=theta[free].T,
+                            train=state.cost / problem.data,
+                            validation=looked,
+                            gradient_norm=state.distance,
+                            batch=problem.batch,
+                            sets=problem.sets,
+                            simulated=state.y,
+                        )
+                    )
                     logged = state.iteration
                 going = state.running.nonzero().flatten()
                 if progress is not None:
@@ -179,9 +195,9 @@ def train(
                     interrupted = bool(progress(label, state.iteration, state.cost, going))
                 if interrupted or going.numel() == 0:
                     break
-                state = advance(problem, state, tolerance, options.max_iterations, options.refresh)
+                state = advance(problem, state, tolerance, options.max_iterations)
                 if checkpoint is not None:
-                    write_state(checkpoint, state, identity)
+                    write_checkpoint(checkpoint, as_content(state), identity)
             if interrupted:
                 break
     except KeyboardInterrupt:
@@ -189,30 +205,28 @@ def train(
         if state is None:
             raise
     assert state is not None  # the last stage always takes place
-    return _results(whole, state, interrupted, finished=state.stage == len(options.windows))
+
+    # one evaluation with exact sensitivities at the end, as a fit has it
+    finished = state.stage == len(options.windows)
+    whole = replace(whole, engine=_exact(engine, state))
+    whole.set_weights(state.q)
+    theta, nodes = whole.theta(state.q), state.nodes
+    spread = theta[:, sets]
+    if not finished:  # the end of a stage of windows has no whole record yet
+        nodes = free_run(system, whole.engine, batch, batch.x, spread)[0]
+    nodes = nodes.nan_to_num(0.0)
+    at = evaluate(system, whole.engine, batch, nodes, spread, free, loss=options.loss, chunk=1)
+    cost = bounds.prior_cost(theta[free].T).index_add(0, sets, at.cost)
+    # a set that had settled over windows has not seen whole records
+    left = {"running"} if finished else {"running", "converged", "stalled", "max_iterations"}
+    status = ["interrupted" if interrupted and one in left else one for one in state.status]
+    outcome = Outcome(theta, cost, state.steps, status, at, state.history)
+    return [make_result(whole, outcome, g, Options(loss=options.loss)) for g in range(count)]
 
 
-def _snapshot(
-    problem: Problem, state: QuasiNewtonState, names: tuple[str, ...], validation: Batch | None
-) -> Snapshot:
-    """What the writer is logged of a state."""
-    problem.set_weights(state.q)
-    problem = replace(
-        problem, engine=replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
-    )
-    theta, info = problem.theta(state.q), [problem.system.table[i] for i in problem.free]
-    return Snapshot(
-        step=state.iteration,
-        names=names,
-        table=tuple((i.component, i.symbol) for i in info),
-        values=theta[problem.free].T,
-        train=state.cost / problem.data,
-        validation=None if validation is None else validation_loss(problem, theta, validation),
-        gradient_norm=state.distance,
-        batch=problem.batch,
-        sets=problem.sets,
-        simulated=state.y,
-    )
+def _exact(engine: OdeEngine, state: GaussNewtonState) -> OdeEngine:
+    """The engine with the steps of a state, differentiated by backprop."""
+    return replace(engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
 
 
 def validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
@@ -224,23 +238,3 @@ def validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
     y = simulated(problem.system, many, x, spread)
     cost = problem.loss.value((many.y - y) * many.weight).sum((1, 2)).where(closed, torch.nan)
     return cost.reshape(count, batch.rows).sum(1) / (batch.weight > 0).sum()
-
-
-def _results(problem: Problem, state: QuasiNewtonState, interrupted: bool, finished: bool) -> list[FitResult]:
-    """Results of all sets: one evaluation with exact sensitivities at the end, as a fit has it."""
-    free, batch, sets = problem.free, problem.batch, problem.sets
-    engine = replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
-    theta, nodes = problem.theta(state.q), state.nodes
-    problem.set_weights(state.q)
-    if not finished:  # the end of a stage of windows has no whole record yet
-        nodes = free_run(problem.system, engine, batch, batch.x, theta[:, sets])[0]
-    at = evaluate(
-        problem.system, engine, batch, nodes.nan_to_num(0.0), theta[:, sets], free, loss=problem.loss, chunk=1
-    )
-    cost = problem.bounds.prior_cost(theta[free].T).index_add(0, sets, at.cost)
-    # a set that had settled over windows has not seen whole records
-    left = {"running"} if finished else {"running", "converged", "stalled", "max_iterations"}
-    status = ["interrupted" if interrupted and s in left else s for s in state.status]
-    outcome = least_squares.Outcome(theta, cost, state.steps, status, at, state.history)
-    settings = least_squares.Options(loss=problem.loss)
-    return [make_result(replace(problem, engine=engine), outcome, g, settings) for g in range(theta.shape[1])]

@@ -32,6 +32,8 @@ from hybrid_id.systems.chain import System
 
 NEWTON_STEPS, ADVANCE = 12, 2000
 """Steps of Newton's method, and samples for which one more is allowed: what has closed advances from the start on."""
+CLOSED = 1e-9
+"""Step of Newton's method, relative to the largest state, at which a free run has closed."""
 SHORTEST = 256
 """Samples of a row that are worked on at once, at least; `lanes_at_once` of all rows together."""
 
@@ -133,7 +135,6 @@ def free_run(
     batch: Batch,
     guess: Tensor,
     theta: Tensor,
-    tolerance: float = 1e-9,
     *,
     roll_out: bool = False,
 ) -> tuple[Tensor, Tensor]:
@@ -144,8 +145,7 @@ def free_run(
         its guess was too far off. With ``roll_out`` such rows are simulated sample by sample (slow), and have closed
         where they are finite.
     """
-    x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
-    cheap = replace(engine, gradient="backprop")
+    x, cheap = guess.clone(), replace(engine, gradient="backprop")
     closed, pieces = torch.ones(batch.rows, dtype=torch.bool, device=x.device), _pieces(batch)
     peaks = torch.stack([x[:, piece].abs().amax((1, 2)) for piece in pieces])
     for number, piece in enumerate(pieces):
@@ -161,8 +161,8 @@ def free_run(
             nodes[opened] = nodes[opened] + step
             peak = torch.maximum(elsewhere[opened], nodes[opened].abs().amax((1, 2)))
             size = step.abs().amax((1, 2)) / peak.clamp_min(1e-12)
-            closed[opened] = size <= tolerance
-            opened = opened[(size > tolerance) & torch.isfinite(size)]
+            closed[opened] = size <= CLOSED
+            opened = opened[(size > CLOSED) & torch.isfinite(size)]
             if opened.numel() == 0:
                 break
         if not bool(closed.any()):

@@ -13,15 +13,13 @@ from torch import Tensor, nn
 
 from hybrid_id.identification.costate import Gradient, gradient
 from hybrid_id.identification.least_squares import LeastSquares
-from hybrid_id.identification.networks import Projection, linearise_with_weights
+from hybrid_id.identification.networks import linearise_with_weights
 from hybrid_id.identification.objective import Evaluation, Loss, evaluate, evaluate_condensed
 from hybrid_id.simulation.lifted import condense
 from hybrid_id.simulation.solvers import OdeEngine
 
 OPEN_SHARE = 0.5
 """A direction that the data leave open is held in the metric (not in the objective) to this share of a parameter."""
-FIRST_WEIGHT_STEP = 0.01
-"""RMS change of a network's weights in the first step."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +27,14 @@ class Problem(LeastSquares):
     """Output error of every set as a function of its decision vector q, ``(G, N)``.
 
     q holds the free parameters in units of their size, the first states of the set's rows relative to the measured
-    ones in units of their prior standard deviation, and (one set only) the weights beyond the table.
+    ones in units of their prior standard deviation, and (one set only) the networks' weights.
 
     Attributes:
         engine: how the system is integrated and differentiated.
         base: all parameters of each set in table order, ``(n_p, G)``; the free ones are replaced.
-        extra: weights beyond the table.
+        extra: weights of the residual networks.
         loss: loss of the weighted residuals.
         hold: whether the free parameters stay where they are, while weights and first states move.
-        penalty: price of the weights beside the output error; None for none.
     """
 
     engine: OdeEngine
@@ -45,18 +42,6 @@ class Problem(LeastSquares):
     extra: list[nn.Parameter]
     loss: Loss
     hold: bool = False
-    penalty: Projection | None = None
-
-    def to(self, dtype: torch.dtype) -> Problem:
-        """The same in another precision; the system and its weights change theirs in place."""
-        batch = self.batch.to(self.batch.x.device, dtype)
-        return replace(
-            self,
-            system=self.system.to(dtype),
-            batch=batch,
-            base=self.base.to(dtype),
-            bounds=self.bounds.to(dtype),
-        )
 
     @property
     def slots(self) -> Tensor:
@@ -98,11 +83,6 @@ class Problem(LeastSquares):
     def weights(self) -> int:
         """Number of weights beyond the table."""
         return sum(w.numel() for w in self.extra)
-
-    @property
-    def network_weights(self) -> int:
-        """Number of those that belong to residual networks."""
-        return sum(w.numel() for part in self.system.networks.values() for w in part.weights().values())
 
     def set_weights(self, q: Tensor) -> None:
         """Write the weights beyond the table into the system."""
@@ -161,19 +141,7 @@ class Problem(LeastSquares):
         by_state = states.clone()
         by_state[self.sets, self.slots] += self.batch.x0_std * run.start
         by_weight = [torch.cat([g.flatten() for g in run.extra])[None]] if self.extra else []
-        if self.penalty is not None:
-            price, slope = self.penalty.value()
-            cost, by_weight = cost + price, [by_weight[0] + slope]
         return cost, torch.cat([by_value, by_state.flatten(1), *by_weight], 1), run
-
-    def first_metric(self, q: Tensor, slope: Tensor) -> Tensor:
-        """Metric before any curvature is known, ``(G, N, N)``: the first step changes weights by about 0.01 each."""
-        metric = torch.eye(q.shape[1], dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
-        if self.extra:
-            tail = range(q.shape[1] - self.weights, q.shape[1])
-            size = slope[:, tail].square().mean(1).sqrt().clamp_min(1e-12) / FIRST_WEIGHT_STEP
-            metric[:, tail, tail] = size[:, None].expand(-1, len(tail))
-        return metric
 
     def evaluated(self, q: Tensor, nodes: Tensor) -> Evaluation:
         """Sensitivities of the outputs to first states, parameters and, last, the weights of networks.
@@ -184,15 +152,10 @@ class Problem(LeastSquares):
         """
         self.set_weights(q)
         theta, exact = self.theta(q)[:, self.sets], replace(self.engine, gradient="backprop")
-        if self._networks:
+        if self.extra:
             lin = linearise_with_weights(self.system, exact, self.batch, nodes, theta, self.free)
             return evaluate_condensed(self.batch, nodes, lin, condense(lin, nodes), self.loss)
         return evaluate(self.system, exact, self.batch, nodes, theta, self.free, loss=self.loss, chunk=1)
-
-    @property
-    def _networks(self) -> bool:
-        """Whether the weights beyond the table are those of networks, by which it is linearised."""
-        return bool(self.extra) and self.weights == self.network_weights
 
     def held(self, cost: Tensor) -> Tensor:
         """Information that holds each parameter, in units of its size, and each weight beside the records, ``(G, n)``.
@@ -202,27 +165,19 @@ class Problem(LeastSquares):
         """
         noise = 2.0 * cost / self.data
         prior = self.bounds.prior_precision * self.unit.square() + (noise / OPEN_SHARE**2)[:, None]
-        weights = self.weights if self._networks else 0
-        return torch.cat([prior, prior.new_full((len(prior), weights), float(noise[0]))], 1)
+        return torch.cat([prior, prior.new_full((len(prior), self.weights), float(noise[0]))], 1)
 
-    def curvature(self, q: Tensor, nodes: Tensor, cost: Tensor) -> Tensor:
-        """Gauss-Newton matrix in the parameters and first states, ``(G, n, n)``, from forward sensitivities.
-
-        With networks, whose weights all sets share, in the weights too, ``(1, N, N)``.
+    def curvature(self, at: Evaluation, q: Tensor, cost: Tensor) -> Tensor:
+        """Gauss-Newton matrix in the decision vector, ``(G, N, N)``, held where the records leave directions open.
 
         Args:
+            at: sensitivities at q.
             q: decision vector.
-            nodes: the free run there.
             cost: the cost there.
         """
-        return self.assembled(self.evaluated(q, nodes), q, cost)
-
-    def assembled(self, at: Evaluation, q: Tensor, cost: Tensor) -> Tensor:
-        """The Gauss-Newton matrix from sensitivities at q."""
-        n_f, n_x, networks = len(self.free), self.batch.x.shape[2], self._networks
-        size = q.shape[1] if networks else q.shape[1] - self.weights
+        n_f, n_x, size = len(self.free), self.batch.x.shape[2], q.shape[1]
         unit = self.batch.x0_std.where(self.batch.x0_std > 0, torch.ones_like(self.batch.x0_std))
-        one = unit.new_ones(len(unit), self.weights if networks else 0)
+        one = unit.new_ones(len(unit), self.weights)
         factor = torch.cat([unit, self.unit.expand(len(unit), -1), one], 1)
         hessian = at.hessian * factor[:, :, None] * factor[:, None, :]
         full = torch.eye(size, dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
@@ -231,9 +186,6 @@ class Problem(LeastSquares):
         full[:, grid[:, None], grid] = torch.diag_embed(self.held(cost)).index_add(
             0, self.sets, hessian[:, n_x:, n_x:]
         )
-        if self.penalty is not None and networks:
-            tail = slice(size - self.weights, size)
-            full[:, tail, tail] += self.penalty.curvature()
         for row, (g, slot) in enumerate(zip(self.sets.tolist(), self.slots.tolist(), strict=True)):
             at_slot = slice(n_f + slot * n_x, n_f + (slot + 1) * n_x)
             full[g, at_slot, at_slot] = hessian[row, :n_x, :n_x]

@@ -284,8 +284,9 @@ def finite_difference_fit(
     """Fit one parameter set and the first states of all rows of a batch.
 
     With ``near`` the fit is a coarse one, which ends where it comes to nothing: only what the neighbouring model lacks,
-    if anything, is simulated for the first slopes, and every step updates them (:func:`_broyden`); new ones are
-    simulated only where the first step by borrowed ones gains little.
+    if anything, is simulated for the first slopes, and every step updates them by Broyden's formula in scaled
+    parameters (Math. Comp. 19, 1965), for each row by what it depends on alone (L. K. Schubert, Math. Comp. 24, 1970);
+    new ones are simulated only where the first step by borrowed ones gains little.
 
     Args:
         system: model with start values and bounds.
@@ -303,7 +304,11 @@ def finite_difference_fit(
         InputError: nothing to estimate.
     """
     cost = Cost(system, batch, engine)
-    point = cost.point(cost.start, _first(system, batch, near) if x0 is None else x0)
+    if x0 is None:  # as measured, but for what a neighbouring model's fit has found
+        x0 = batch.x[:, 0].numpy().copy()
+        for k, name in enumerate(system.state_names):
+            x0[:, k] = x0[:, k] if near is None else near.x0.get(name, x0[:, k])
+    point = cost.point(cost.start, x0)
     residual = cost.residuals(point[None])[0]
     damping, stage, history = 1e-2, 0, [float(cost.costs(point[None], residual)[0])]
     known = near or begin
@@ -323,9 +328,12 @@ def finite_difference_fit(
         best = int(np.nanargmin(costs))
         gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
         nothing = gained < max(SETTLED * history[-1], least_gain * (history[-1] - noise))
+        # a coarse fit may be no better than what it starts beside; what its slopes promise may be believed where it has
+        # come near, or after a few steps
         if (
             near is not None
-            and _may_be_idle(near, len(history), least)
+            and least > (1.0 - POOR) * near.least
+            and (least < CLOSE * near.least or len(history) >= PATIENCE)
             and cost.promised(points[0], point, residual, jacobian) > (1.0 - POOR) * near.least
         ):
             stage = len(shares)
@@ -336,8 +344,13 @@ def finite_difference_fit(
         elif gained < POOR * history[-1] and (near is None or (len(history) == 1 and not fresh)):
             jacobian = None
         else:
-            _broyden(jacobian, (points[best] - point)[cost.places], trials[best] - residual)
-            fresh = False
+            # the slopes tell the change that the step has brought, otherwise they stay as they were
+            step, fresh = (points[best] - point)[cost.places], False
+            along = np.einsum("rkm,rkm->rk", jacobian, jacobian) * step
+            length = (along * step).sum(1, keepdims=True)
+            along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+            missing = trials[best] - residual - (step[:, None] @ jacobian)[:, 0]
+            jacobian += along[..., None] * missing[:, None]
         if gained > 0:
             point, residual, damping = points[best], trials[best], float(dampings[best])
         if shorter and nothing:  # the same slopes are tried by shorter steps, once
@@ -346,25 +359,12 @@ def finite_difference_fit(
     if tangents and (jacobian is None or near is None):
         jacobian = cost.slopes(point, residual, shares[-1])
     status = "converged" if stage == len(shares) else "max_iterations"
-    return _result(cost, point, residual, jacobian if tangents else None, status, history)
-
-
-def _result(
-    cost: Cost,
-    point: np.ndarray,
-    residual: np.ndarray,
-    slopes: np.ndarray | None,
-    status: str,
-    history: Sequence[float],
-) -> FitResult:
-    """What a fit says that has ended at a point, with the slopes there, if it has any."""
-    system, batch, n_f = cost.rollouts.system, cost.rollouts.batch, cost.n_f
-    shape = batch.y.shape
-    jacobian: tuple[np.ndarray, ...] = ()
-    keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
-    if slopes is not None:
-        along = cost.eliminated(slopes)[0].reshape(batch.rows, n_f, *shape[1:])
-        jacobian = tuple(-part[:, k].transpose(1, 2, 0) for part, k in zip(along, keep, strict=True))
+    n_f = cost.n_f
+    tangent: tuple[np.ndarray, ...] = ()
+    measured = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
+    if tangents and jacobian is not None:
+        along = cost.eliminated(jacobian)[0].reshape(batch.rows, n_f, *batch.y.shape[1:])
+        tangent = tuple(-row[:, k].transpose(1, 2, 0) for row, k in zip(along, measured, strict=True))
     info = [system.table[i] for i in cost.rollouts.free]
     names = tuple(i.name for i in info)
     return FitResult(
@@ -377,21 +377,13 @@ def _result(
         cost=history[-1],
         n_samples=int((batch.weight > 0).sum()),
         iterations=len(history) - 1,
-        jacobian=jacobian,
-        residual=tuple(part[k] for part, k in zip(residual.reshape(shape), keep, strict=True)),
+        jacobian=tangent,
+        residual=tuple(r[k] for r, k in zip(residual.reshape(batch.y.shape), measured, strict=True)),
         prior_precision=cost.precision[:n_f],
         x0=cost.first_states(point[None])[0],
         engine=cost.rollouts.engine,
         history=tuple(history),
     )
-
-
-def _first(system: System, batch: Batch, near: Slopes | None) -> np.ndarray:
-    """First states as measured, but for those that a neighbouring model's fit has found, ``(R, n_x)``."""
-    x0 = batch.x[:, 0].numpy().copy()
-    for k, name in enumerate(system.state_names):
-        x0[:, k] = x0[:, k] if near is None else near.x0.get(name, x0[:, k])
-    return x0
 
 
 def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | None = None) -> Slopes:
@@ -405,24 +397,3 @@ def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | Non
         first=dict(zip(cost.states, slopes[cost.n_f :], strict=True)),
         x0=dict(zip(cost.states, first_states, strict=True)),
     )
-
-
-def _may_be_idle(near: Slopes, iteration: int, cost: float) -> bool:
-    """Whether a coarse fit is no better than what it starts beside, and what its slopes promise may be believed.
-
-    It may where the fit has come near, or after a few steps.
-    """
-    return cost > (1.0 - POOR) * near.least and (cost < CLOSE * near.least or iteration >= PATIENCE)
-
-
-def _broyden(slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> None:
-    """Let slopes ``(R, n, T n_y)`` tell the change that a step ``(R, n)`` has brought, otherwise stay as they were.
-
-    Broyden's formula in scaled parameters (Math. Comp. 19, 1965), for each row by what it depends on alone (L. K.
-    Schubert, Math. Comp. 24, 1970).
-    """
-    along = np.einsum("rkm,rkm->rk", slopes, slopes) * step
-    length = (along * step).sum(1, keepdims=True)
-    along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
-    missing = change - (step[:, None] @ slopes)[:, 0]
-    slopes += along[..., None] * missing[:, None]

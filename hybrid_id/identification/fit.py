@@ -18,7 +18,6 @@ from hybrid_id.identification.least_squares import (
     Bounds,
     LeastSquares,
     Options,
-    Outcome,
     free_parameters,
     minimise,
 )
@@ -227,64 +226,35 @@ def fit(
         nodes = torch.where(run.isfinite().all(2).all(1)[:, None, None], run, many.x)
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
-        problem = LeastSquares(system, engine, many, many_sets, free, bounds)
-        problem, outcome = _refined(problem, theta, setting, report("records"), nodes)
-        engine = problem.engine
+        limited = setting
+        for refinements_left in (2, 1, 0):
+            problem = LeastSquares(system, engine, many, many_sets, free, bounds)
+            outcome = minimise(problem, theta, limited, report("records"), nodes)
+            finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
+            settled = finer.substeps == engine.substeps or "interrupted" in outcome.status
+            if settled or refinements_left == 0:
+                break
+            engine, theta, nodes = finer, outcome.theta, outcome.at.x
+            # where none are left, the end is only simulated with the finer sub-steps
+            left = limited.max_iterations - int(outcome.iterations.max())
+            limited = replace(limited, max_iterations=left)
         cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
         order = cost.reshape(alive, count).argsort(0)
         if loss == options.loss or "interrupted" in outcome.status:
             break
+        # the next stage: the best starts twice, from their own and from the measured states, and the first start with
+        # them, so that it is beaten
+        better = order[: max(1, alive // 4)]
+        ends = outcome.theta[:, (better * count + each).flatten()]
+        own = outcome.at.x[(better[:, sets] * batch.rows + rows).flatten()]
         simulated = simulate(system, engine, batch, start[:, sets]).x
-        theta, nodes = _survivors(outcome, order[: max(1, alive // 4)], batch, sets, start, simulated)
+        theta = torch.cat([ends, ends, start], 1)
+        nodes = torch.cat([own, batch.x.repeat(len(better), 1, 1), simulated])
         alive = theta.shape[1] // count
         many = batch.take(rows.repeat(alive))
         many_sets = torch.cat([sets + k * count for k in range(alive)])
     best = order[0] * count + each
     return [make_result(replace(problem, batch=batch), outcome, int(g), setting) for g in best]
-
-
-def _refined(
-    problem: LeastSquares, theta: Tensor, options: Options, report: Report, nodes: Tensor | None
-) -> tuple[LeastSquares, Outcome]:
-    """A fit that goes on with finer sub-steps, twice at most, where its end needs them; arguments as of `minimise`.
-
-    The problem that it returns has the engine that the end was found with.
-    """
-    system, batch, sets = problem.system, problem.batch, problem.sets
-    for refinements_left in (2, 1, 0):
-        outcome = minimise(problem, theta, options, report, nodes)
-        finer = with_substeps(system, problem.engine, batch, outcome.theta[:, sets])
-        settled = finer.substeps == problem.engine.substeps or "interrupted" in outcome.status
-        if settled or refinements_left == 0:
-            break
-        problem, theta, nodes = replace(problem, engine=finer), outcome.theta, outcome.at.x
-        # where none are left, the end is only simulated with the finer sub-steps
-        left = options.max_iterations - int(outcome.iterations.max())
-        options = replace(options, max_iterations=left)
-    return problem, outcome
-
-
-def _survivors(
-    outcome: Outcome, better: Tensor, batch: Batch, sets: Tensor, start: Tensor, simulated: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Where the next stage of a loss starts: parameters ``(n_p, S * G)`` and nodes ``(S * R, T, n_x)`` of S starts.
-
-    The best go on twice, from their own and from the measured states; the start joins them, so that it is beaten.
-
-    Args:
-        outcome: end of the stage before.
-        better: numbers of the best starts of each set, best first, ``(S', G)``; S = 2 S' + 1.
-        batch: the R rows of one start.
-        sets: set of each of them, ``(R,)``.
-        start: parameters that the fit began with, ``(n_p, G)``.
-        simulated: states at these parameters, ``(R, T, n_x)``.
-    """
-    count = better.shape[1]
-    each, rows = (torch.arange(n, device=better.device) for n in (count, batch.rows))
-    best = outcome.theta[:, (better * count + each).flatten()]
-    own = outcome.at.x[(better[:, sets] * batch.rows + rows).flatten()]
-    measured = batch.x.repeat(len(better), 1, 1)
-    return torch.cat([best, best, start], 1), torch.cat([own, measured, simulated])
 
 
 def fit_records(
@@ -335,13 +305,6 @@ def kept_fit(
     )
 
 
-def _ranged(system: System, i: int) -> bool:
-    """Whether a parameter has been given bounds that are not those of its law, which hold for any machine."""
-    info = system.table[i]
-    law = cast(Component, system.components[info.component]).declared[info.symbol]
-    return (info.spec.lower, info.spec.upper) != (law.lower, law.upper)
-
-
 def make_bounds(system: System, free: Sequence[int], device: torch.device | str = "cpu") -> Bounds:
     """Box, priors and scales of the free parameters."""
     specs = [system.table[i].spec for i in free]
@@ -353,9 +316,12 @@ def make_bounds(system: System, free: Sequence[int], device: torch.device | str 
     # either sign in a range of its own, for how near to zero it starts is no measure of it
     widths = [spec.upper - spec.lower for spec in specs]
     ranges = [0.05 * width if math.isfinite(width) and width < 1e5 else 0.0 for width in widths]
-    signed = [
-        spec.lower < 0.0 < spec.upper and _ranged(system, i) for i, spec in zip(free, specs, strict=True)
-    ]
+    signed = []
+    for i, spec in zip(free, specs, strict=True):
+        # bounds that are those of its law hold for any machine: they are no range of its own
+        law = cast(Component, system.components[system.table[i].component]).declared[system.table[i].symbol]
+        ranged = (spec.lower, spec.upper) != (law.lower, law.upper)
+        signed.append(spec.lower < 0.0 < spec.upper and ranged)
     scale = [
         max(abs(spec.value), reach * either) or reach or 1e-3
         for spec, reach, either in zip(specs, ranges, signed, strict=True)

@@ -1,18 +1,24 @@
-"""How long a model runs free before it starts again from a measured state, and how records choose that."""
+"""How long a model runs free before it starts again from a measured state, how records choose that, and fits of pieces.
+
+A piece begins in states that nobody has measured (the twist of a gear, a bristle, heat) as a free run of the model has
+them there, and is held to them. A free run with the start values holds the estimates to these: so records are cut anew
+with the fitted values, and fitted again, until the estimates stay or err more than those before.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit
+from hybrid_id.identification.fit import fit, kept_fit
+from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.result import FitResult
@@ -47,6 +53,10 @@ BLOCKS = 16
 """Blocks of the records whose scatter gives a standard error; it is known to 1 / sqrt(2 * 15) = 18 % then."""
 SURELY = 1.5
 """Ratio of two such standard errors that is no accident: 1 + 2 * sqrt(2) * 18 %."""
+ROUNDS = 12
+"""Times that records are cut anew at most: each takes about half of what is left of the way."""
+SETTLED = 0.02
+"""Share of what a fit leaves (RMS) by which its outputs move in a round, below which its estimates have settled."""
 
 
 @dataclass(frozen=True)
@@ -410,3 +420,63 @@ def covariance_size(result: FitResult, inside: Sequence[int]) -> tuple[float, fl
         scatter = scatter + blocks.T @ blocks
     size = 0.5 * np.linalg.slogdet(scatter)[1] - np.linalg.slogdet(information)[1]
     return float(size), len(inside) - float(np.trace(np.linalg.solve(information, known)))
+
+
+def settled(
+    sets: list[FitResult],
+    horizon: Horizon,
+    batch: Batch,
+    *,
+    engine: Engine,
+    kept: Kept | None = None,
+    **settings: Any,
+) -> list[FitResult]:
+    """The sets, fitted again to pieces that begin as their own values say; as they are where no first state is hidden.
+
+    Args:
+        sets: fits to pieces that begin as the start values say, one of all records or one of each.
+        horizon: of the pieces.
+        batch: the whole records.
+        engine: how a sample is integrated.
+        kept: fits that are kept from before.
+        settings: further arguments of :func:`hybrid_id.identification.fit.fit`, its options among them.
+    """
+    if not sets or not horizon.simulates(sets[0].system, batch):
+        return sets
+    options: Options = settings.get("options") or Options()
+    as_it_is: dict[str, Any] = {**settings, "options": replace(options, max_iterations=0)}
+    as_it_is |= {"warm": False, "starts": 1}
+
+    def cut_anew(result: FitResult) -> tuple[Batch, Tensor, float]:
+        """Pieces that begin as a set's values say, the first states of free runs over them, and what these cost."""
+        part = horizon.cut(result.system, result.engine, own)
+        run = free_runs(result.system, with_substeps(result.system, result.engine, part), part)
+        errors = ((run.y - part.y) * part.weight)[part.weight > 0]
+        return part, run.x[:, 0], float(options.loss.value(errors).sum())
+
+    found = []
+    for result in sets:
+        if result.status in ("diverged", "interrupted"):
+            found.append(result)
+            continue
+        rows = [row for row, name in enumerate(batch.names) if name in result.records]
+        own = batch.take(torch.tensor(rows, device=batch.x.device))
+        part, first, least = cut_anew(result)
+        for _ in range(ROUNDS):
+            (again,) = kept_fit(kept, result.system, part, pooled=True, engine=engine, **settings)
+            if again.status == "diverged":
+                break
+            there, began, errs = cut_anew(again)
+            if not errs < least:
+                break
+            # RMS by which the weighted outputs move, to first order
+            step = again.values - result.values
+            squares = sum(float(np.square(j.reshape(-1, len(step)) @ step).sum()) for j in again.jacobian)
+            moved = float(np.sqrt(squares / max(again.n_samples, 1)))
+            enough = moved <= SETTLED * again.noise_scale or again.status == "interrupted"
+            result, part, first, least = again, there, began, errs
+            if enough:
+                break
+        (end,) = fit(result.system, part, pooled=True, engine=result.engine, x0=first, **as_it_is)
+        found.append(replace(end, status=result.status, iterations=result.iterations, history=result.history))
+    return found

@@ -1,8 +1,8 @@
 """Training of physics with residual networks, in stages: physics, the networks with physics held, both together.
 
-The networks' outputs have a price, so that they add only what the physics cannot say. The ladder of prices is climbed
-down, each rung from the one above; validation records tell where each training stops and which rung is worth its
-freedom. Gradients are the adjoint's, steps are Gauss-Newton's (see :mod:`hybrid_id.identification.optimizers`).
+The networks' output has a price, so that they add only what the physics cannot say. Validation records tell where the
+training stops and whether the networks are worth their freedom. Gradients are the adjoint's, steps those of
+:mod:`hybrid_id.identification.optimizers`.
 
 Sources: Y. Yin et al., APHYNITY, ICLR 2021 (least-norm augmentation); L. Prechelt, Early stopping, 1998.
 """
@@ -10,52 +10,93 @@ Sources: Y. Yin et al., APHYNITY, ICLR 2021 (least-norm augmentation); L. Preche
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.adjoint import Writer
-from hybrid_id.identification.checkpoint import fingerprint, read_checkpoint
-from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.adjoint import Snapshot, Writer
+from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.keep import as_content, fingerprint, read_checkpoint, write_checkpoint
 from hybrid_id.identification.least_squares import Options
-from hybrid_id.identification.networks import with_scales
-from hybrid_id.identification.objective import Evaluation
-from hybrid_id.identification.optimizers import QuasiNewtonState, prolonged
-from hybrid_id.identification.result import FitResult, sensitivities
-from hybrid_id.identification.training_loop import (
-    Found,
-    HybridOptions,
-    Progress,
-    Stage,
-    Trainer,
-    TrainingState,
-    excess,
-    typical,
+from hybrid_id.identification.networks import output_shares, with_memory, with_price, with_scales
+from hybrid_id.identification.objective import Loss
+from hybrid_id.identification.optimizers import (
+    AdamState,
+    GaussNewtonState,
+    OptimizerState,
+    advance,
+    begin,
+    begin_descent,
+    descend,
+    prolonged,
 )
+from hybrid_id.identification.result import FitResult, sensitivities
+from hybrid_id.identification.windows import measured_windows
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
+GAIN, STALE = 1e-3, 8
+"""Least share by which a loss must fall to count as a gain, and gradients within which the cost must do so."""
+PARTS = 10
+"""Parts of a validation record whose losses are compared in pairs."""
+Progress = Callable[[str, int, float], bool | None]
 Spread = Callable[[list[np.ndarray], list[np.ndarray], np.ndarray], np.ndarray]
 """Standard errors by the weighted sensitivities and residuals of each record, and the information of priors."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rung:
-    """One price of the ladder and what the training came to; the first is physics alone, at an infinite price.
+@dataclass(frozen=True)
+class HybridOptions:
+    """Settings of a hybrid training.
 
     Attributes:
-        price: of the networks' output.
+        price: of the networks' mean square output (see :func:`.networks.with_price`).
+        windows: stages in which the networks alone train, before the whole records: (length [s], one in this many).
+        max_iterations: gradients in a stage.
+        tolerance: a stage has converged when the next step is shorter than this many standard errors.
+        patience: evaluations of the validation records without a gain after which a stage ends.
+        validate_every: gradients between two of them.
+        worth: share by which the networks must lower the validation loss to be kept, see :func:`worth_it`.
+        loss: loss of the weighted residuals.
+        starts: start points of the fit of physics alone.
+        seed: of these.
+        optimizer: ``gauss_newton``, or ``adam`` for networks of more than some hundred weights.
+        rate, clip: of Adam: largest step of a parameter or weight in its unit, and length to which a gradient of the
+            loss per measurement is clipped (see :mod:`.optimizers`).
+    """
+
+    price: float = 1.0
+    windows: tuple[tuple[float, int], ...] = ((0.1, 4), (0.4, 2), (1.6, 1))
+    max_iterations: int = 40
+    tolerance: float = 0.1
+    patience: int = 10
+    validate_every: int = 2
+    worth: float = 0.02
+    loss: Loss = field(default_factory=Loss)
+    starts: int = 1
+    seed: int = 0
+    optimizer: Literal["gauss_newton", "adam"] = "gauss_newton"
+    rate: float = 0.01
+    clip: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A model that a hybrid training ends with: physics alone, or with networks.
+
+    Attributes:
         system: the trained system.
-        train, validation: loss per measurement; that of validation records is :func:`.training_loop.typical`.
+        train, validation: loss per measurement; that of validation records is :func:`typical`.
         iterations: gradients up to here.
         status: how the training ended.
         errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown
@@ -64,7 +105,6 @@ class Rung:
         plain: those without the price if residuals had no memory: what the records alone tell apart.
     """
 
-    price: float
     system: System
     train: float
     validation: float
@@ -81,22 +121,59 @@ class HybridResult:
 
     Attributes:
         physics: Levenberg-Marquardt fit of the physics alone.
-        rungs: the ladder, physics first.
-        chosen: number of the rung that the validation records choose.
+        models: physics alone, then with networks; the former only where the training was stopped before its end.
+        chosen: number of the model that the validation records choose.
+        price: of the networks' output.
         engine: with which all of them are simulated.
         interrupted: whether the training was stopped before its end.
     """
 
     physics: FitResult
-    rungs: tuple[Rung, ...]
+    models: tuple[Trained, ...]
     chosen: int
+    price: float
     engine: OdeEngine
     interrupted: bool
 
     @property
     def system(self) -> System:
         """The chosen system."""
-        return self.rungs[self.chosen].system
+        return self.models[self.chosen].system
+
+
+@dataclass
+class TrainingState:
+    """Where a training stands; all of it is in the checkpoint.
+
+    Attributes:
+        stage: number of the stage.
+        theta, weights: what it started from, ``(n_p, 1)`` and ``(n_w,)``.
+        state: the optimiser's; None where the stage has not begun.
+        best, waited: validation losses of the stage where they were least, and evaluations since then.
+        kept: decision vector of the last evaluation whose losses were not above those by more than chance: what the
+            train records say counts until the validation records object.
+        done: gradients before this stage.
+        status: how the last stage ended.
+    """
+
+    stage: int
+    theta: Tensor
+    weights: Tensor
+    state: OptimizerState | None = None
+    best: Tensor | None = None
+    kept: Tensor | None = None
+    waited: int = 0
+    done: int = 0
+    status: str = ""
+
+    @classmethod
+    def of(cls, content: dict[str, Any]) -> TrainingState:
+        """The state in a checkpoint."""
+        state = content["state"]
+        if state is not None:
+            state = GaussNewtonState(**state) if "metric" in state else AdamState(**state)
+        rest = {name: value for name, value in content.items() if name != "state"}
+        return cls(**rest, state=state)
 
 
 def train_hybrid(
@@ -114,12 +191,12 @@ def train_hybrid(
 ) -> HybridResult:
     """Train one set of parameters and weights over all rows of a batch.
 
-    Ctrl-C ends the training with the rungs that it has.
+    Ctrl-C ends the training with the models that it has.
 
     Args:
         system: model with at least one residual network; what its networks have learnt before is forgotten.
         batch: records to train on.
-        validation: records that tell when to stop and which price to choose.
+        validation: records that tell when to stop and whether to keep the networks.
         engine: solver and kind of gradient.
         options: settings.
         writer: takes the history of the training.
@@ -129,25 +206,17 @@ def train_hybrid(
         spread: standard errors that allow for correlated residuals, which count where they are larger.
 
     Raises:
-        InputError: no network, nothing to estimate, or a checkpoint of another training.
+        InputError: no network, nothing to estimate, a negative price, or a checkpoint of another training.
     """
     options, engine = options or HybridOptions(), engine or OdeEngine()
     if not system.networks:
         raise InputError(
             "The model has no residual network to train; add one to a place, or use a plain fit."
         )
-    if options.augmentation == "projection" and any(part.memory for part in system.networks.values()):
-        raise InputError(
-            "The augmentation 'projection' prices networks along the records, where their memory is not known; take "
-            "'norm', or networks without memory."
-        )
-    prices = options.prices
-    if not prices or sorted(set(prices), reverse=True) != list(prices) or prices[-1] < 0.0:
-        raise InputError(
-            f"The prices {list(prices)} are no ladder; give falling numbers that are not negative."
-        )
-    settings = (engine, options.augmentation, options.optimizer, options.precision, options.windows)
-    settings += (options.prices, options.loss, options.worth, options.starts, options.seed)
+    if not options.price >= 0.0:
+        raise InputError(f"The price of the networks is {options.price}; give a number that is not negative.")
+    settings = (engine, options.optimizer, options.windows, options.price, options.loss, options.worth)
+    settings += (options.starts, options.seed)
     settings += (options.rate, options.clip) if options.optimizer == "adam" else ()
     identity = ["hybrid", fingerprint(system, [batch, validation], *settings)]
     physics = fit_physics(system, batch, engine, options)
@@ -155,33 +224,129 @@ def train_hybrid(
     system = with_scales(system.with_values(values), batch, engine.width)
     for part in system.networks.values():
         part.forget()
-    system = system.to(batch.x.device)
-    free = system.estimated
+    device = batch.x.device
+    system, validation, free = system.to(device), validation.to(device), system.estimated
     theta = system.theta().detach()[:, None]
     engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
-    sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)
-    bounds, extra = make_bounds(system, free, batch.x.device), extra_parameters(system)
-    problem = Problem(system, engine, batch, sets, free, bounds, theta, extra, options.loss)
-    trainer = Trainer(
-        problem.to(options.dtype), validation.to(batch.x.device, options.dtype), options, identity,
-        writer, checkpoint, progress,
-    )  # fmt: skip
-    theta, fresh = theta.to(options.dtype), torch.nn.utils.parameters_to_vector(extra).detach().clone()
-    alone = trainer.found(theta, fresh, 0, physics.status)
-    training = TrainingState(0, theta, fresh)
+    sets = torch.zeros(batch.rows, dtype=torch.long, device=device)
+    bounds, extra = make_bounds(system, free, device), extra_parameters(system)
+    whole = Problem(system, engine, batch, sets, free, bounds, theta, extra, options.loss)
+    training = TrainingState(0, theta, parameters_to_vector(extra).detach().clone(), status=physics.status)
+    ends = [(replace(training), losses(whole, theta, validation, roll_out=True))]
     if resume is not None:
-        training = read_checkpoint(resume, trainer.identity, TrainingState.of, batch.x.device)
-        if isinstance(training.state, QuasiNewtonState):
+        training = read_checkpoint(resume, identity, TrainingState.of, device)
+        if isinstance(training.state, GaussNewtonState):
             training.state = prolonged(training.state, options.max_iterations)
+
+    def keep() -> None:
+        if checkpoint is not None:
+            state = None if training.state is None else as_content(training.state)
+            write_checkpoint(checkpoint, vars(training) | {"state": state}, identity)
+
     try:
-        interrupted = trainer.run(training)
+        interrupted = _descend(whole, validation, options, training, writer, keep, progress)
     except KeyboardInterrupt:
         interrupted = True
-    found = [alone, *training.found]
-    trainer.whole = trainer.whole.to(torch.float64)  # standard errors ask for all digits
-    rungs = [_rung(trainer, price, f, spread) for price, f in zip((torch.inf, *prices), found, strict=False)]
-    chosen = choose([f.validation for f in found], options.worth)
-    return HybridResult(physics, tuple(rungs), chosen, replace(engine, gradient="backprop"), interrupted)
+    if not interrupted:
+        vector_to_parameters(training.weights, extra)
+        ends.append((training, losses(whole, training.theta, validation, roll_out=True)))
+    models = [_trained(whole, end, loss, options.price * k, spread) for k, (end, loss) in enumerate(ends)]
+    chosen = int(len(ends) > 1 and worth_it(ends[0][1], ends[1][1], options.worth))
+    exact = replace(engine, gradient="backprop")
+    return HybridResult(physics, tuple(models), chosen, options.price, exact, interrupted)
+
+
+def _descend(
+    whole: Problem,
+    validation: Batch,
+    options: HybridOptions,
+    training: TrainingState,
+    writer: Writer | None,
+    keep: Callable[[], None],
+    progress: Progress | None,
+) -> bool:
+    """Run all stages that are left; returns whether the training was stopped.
+
+    The networks train alone, on windows of growing length and whole records; then all together.
+    """
+    system, adam = whole.system, options.optimizer == "adam"
+    stages = [*((window, True) for window in (*options.windows, None)), (None, False)]
+    while training.stage < len(stages):
+        window, hold = stages[training.stage]
+        vector_to_parameters(training.weights, whole.extra)
+        batch, sets, label = whole.batch, whole.sets, "networks" if hold else "physics and networks"
+        label += ", records" if window is None else f", windows of {window[0]:g} s"
+        if window is not None:
+            guess = with_memory(system, batch, training.theta.expand(-1, batch.rows))
+            cut = measured_windows(system, guess, *window)
+            if cut is None:  # the records are too short
+                training.stage += 1
+                continue
+            batch, sets = cut[0], sets[cut[1]]
+        problem = replace(whole, batch=with_price(system, batch, options.price), sets=sets, hold=hold)
+        data = int((batch.weight > 0).sum())
+        if training.state is None:
+            training.state = (
+                begin_descent(problem, training.theta, training.stage)
+                if adam
+                else begin(problem, training.theta, training.stage, None)
+            )
+        while True:
+            state, looked = training.state, None
+            problem.set_weights(state.q)
+            theta, history = problem.theta(state.q), state.history
+            # the last gradients have lowered the cost by next to nothing; Adam goes up and down
+            stale = not adam and len(history) > STALE
+            settled = stale and bool(history[-1][0] > (1.0 - GAIN) * history[-1 - STALE][0])
+            ended = not bool(state.running.any()) or settled
+            if ended or (state.iteration - state.began) % options.validate_every == 0:
+                found = losses(whole, theta, validation)
+                best = found if training.best is None else training.best
+                gain = typical(found) < (1.0 - GAIN) * typical(best)
+                worse, chance = excess(found, best)
+                if training.kept is None or gain or worse <= chance:
+                    training.kept = state.q
+                training.best, training.waited = (found, 0) if gain else (best, training.waited + 1)
+                looked = torch.tensor([typical(found)])
+            if writer is not None:
+                info = [system.table[i] for i in problem.free]
+                shares = output_shares(system, problem.batch, state.nodes, theta)
+                writer.record(
+                    Snapshot(
+                        step=training.done + state.iteration,
+                        names=("hybrid",),
+                        table=tuple((i.component, i.symbol) for i in info),
+                        values=theta[problem.free].T,
+                        train=state.cost / data,
+                        validation=looked,
+                        gradient_norm=state.distance,
+                        batch=batch,
+                        sets=sets,
+                        simulated=state.y[..., : len(batch.outputs)],
+                        scalars={f"residual/share_{name}": share for name, share in shares.items()}
+                        | {"residual/price": options.price},
+                    )
+                )
+            if progress is not None and progress(
+                label, training.done + state.iteration, float(state.cost[0] / data)
+            ):
+                return True
+            if ended or training.waited > options.patience:
+                break
+            if isinstance(state, AdamState):
+                training.state = descend(problem, state, options.rate, options.clip, options.max_iterations)
+            elif isinstance(state, GaussNewtonState):
+                training.state = advance(problem, state, options.tolerance, options.max_iterations)
+            keep()
+        assert training.kept is not None  # the first gradient is looked at, the last at the latest
+        early = "stopped early" if training.waited > options.patience else "settled"
+        training.status = early if state.status[0] == "running" else state.status[0]
+        problem.set_weights(training.kept)
+        training.theta, training.done = problem.theta(training.kept), training.done + state.iteration
+        training.weights = parameters_to_vector(problem.extra).detach().clone()
+        training.stage += 1
+        training.state, training.best, training.kept, training.waited = None, None, None, 0
+    return False
 
 
 def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: HybridOptions) -> FitResult:
@@ -197,13 +362,6 @@ def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: Hybrid
     return found
 
 
-def fit_each(system: System, batch: Batch, physics: FitResult, options: HybridOptions) -> list[FitResult]:
-    """Fits of physics alone with parameters of each row's own, from those of the fit with one set for all rows."""
-    smooth = Engine("smooth", physics.engine.substeps, physics.engine.width)
-    batch = physics_of(system, batch)[1]
-    return fit(physics.system, batch, engine=smooth, options=Options(loss=options.loss), warm=False)
-
-
 def physics_of(system: System, batch: Batch) -> tuple[System, Batch]:
     """A system without its networks, and the batch without their hidden states."""
     names = system.state_names
@@ -214,87 +372,128 @@ def physics_of(system: System, batch: Batch) -> tuple[System, Batch]:
     return system, replace(batch, x=batch.x[..., rows], x0_std=batch.x0_std[:, rows])
 
 
-def choose(losses: Sequence[Tensor], worth: float) -> int:
-    """The first rung whose typical loss is not above the best one's by more than the share ``worth``.
+@torch.no_grad()
+def losses(problem: Problem, theta: Tensor, batch: Batch, *, roll_out: bool = False) -> Tensor:
+    """Loss per measurement in each of ten parts of each row, ``(10, R)``, with the weights as they are.
 
-    Physics alone has the benefit of the doubt: it stays, too, where chance (one standard error of the mean logarithm of
-    the losses' ratios) may explain the rest.
+    Rows run from their measured first states; the loss of one that diverged is infinite, and without ``roll_out``
+    that of one whose free run is too far off for Newton's method.
 
     Args:
-        losses: validation loss of each rung in each part of the records, physics alone first.
-        worth: share of the best one's loss.
+        problem: system, engine and loss.
+        theta: all parameters, ``(n_p, 1)``.
+        batch: records.
+        roll_out: see :func:`.costate.free_run`.
     """
-    best = min(losses, key=typical)
-    for k, parts in enumerate(losses):
-        above, chance = excess(parts, best)
-        if above <= math.log1p(worth) + (chance if k == 0 else 0.0):
-            return k
-    return len(losses) - 1
+    engine, spread = replace(problem.engine, gradient="backprop"), theta.expand(-1, batch.rows)
+    x, closed = free_run(problem.system, engine, batch, batch.x, spread, roll_out=roll_out)
+    y = simulated(problem.system, batch, x, spread)
+    loss = problem.loss.value((batch.y - y) * batch.weight).sum(2)
+    loss = loss.where(closed[:, None], torch.inf).nan_to_num(torch.inf, torch.inf)
+    number = (batch.weight > 0).sum(2)
+    seen = number.cumsum(1)
+    part = ((seen - number) * PARTS // seen[:, -1:].clamp_min(1)).clamp_max(PARTS - 1)
+    total = loss.new_zeros(batch.rows, PARTS).scatter_add(1, part, loss.where(number > 0, 0.0))
+    count = loss.new_zeros(batch.rows, PARTS).scatter_add(1, part, number.to(loss.dtype))
+    return (total / count).where(count > 0, (total.sum(1) / count.sum(1))[:, None]).T
 
 
-def _rung(trainer: Trainer, price: float, found: Found, spread: Spread | None) -> Rung:
-    """A rung as a system of its own, with standard errors from the Gauss-Newton matrix of all that it trained."""
-    system, theta = trainer.whole.system, found.theta.double()
-    values = {  # single precision rounds bounds, too
-        i.name: min(max(float(theta[k, 0]), i.spec.lower), i.spec.upper)
-        for k, i in enumerate(system.table)
-        if i.spec.estimate
-    }
-    engine = replace(trainer.whole.engine, gradient="backprop")
-    batch, training = trainer.whole.batch, TrainingState(0, theta, found.weights.double())
-    torch.nn.utils.vector_to_parameters(training.weights, trainer.whole.extra)
-    nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows), roll_out=True)[
-        0
-    ].nan_to_num(0.0)
+def typical(parts: Tensor) -> float:
+    """Geometric mean of the losses in the parts of the validation records.
+
+    A free run that has lost its record (a rotor that rests one tooth further on) says little from there on: the mean
+    would be of these parts alone.
+    """
+    return float(parts.clamp_min(1e-300).log().mean().exp())
+
+
+def excess(parts: Tensor, reference: Tensor) -> tuple[float, float]:
+    """Mean logarithm of the ratio of losses to a reference in the same parts, and its standard error.
+
+    The parts of one record share its run of the machine (friction that drifts from run to run), so that the larger of
+    two standard errors counts: that of independent parts, and that of independent records, where there are several.
+
+    Args:
+        parts: losses in each part of each record, ``(n_parts, R)``.
+        reference: the same of what they are compared with.
+    """
+    # both may be infinite where a run is lost
+    ratio = torch.where(parts == reference, 1.0, parts / reference).clamp_min(1e-300).log()
+    ways = [ratio.flatten()] + ([ratio.mean(0)] if ratio.shape[1] > 1 else [])
+    return float(ratio.mean()), max(float(way.std()) / len(way) ** 0.5 for way in ways)
+
+
+def worth_it(physics: Tensor, hybrid: Tensor, worth: float) -> bool:
+    """Whether networks lower the typical validation loss by more than the share ``worth`` and by more than chance.
+
+    Physics alone has the benefit of the doubt: chance is one standard error of the mean log ratio of the losses.
+
+    Args:
+        physics: validation loss of physics alone in each part of the records, ``(n_parts, R)``.
+        hybrid: the same with networks.
+        worth: share of the loss with networks.
+    """
+    if typical(physics) <= typical(hybrid):
+        return False
+    above, chance = excess(physics, hybrid)
+    # chance is unknown where physics alone loses a record: it is worse
+    return not above <= math.log1p(worth) + chance
+
+
+def _trained(
+    whole: Problem, end: TrainingState, validation: Tensor, price: float, spread: Spread | None
+) -> Trained:
+    """A model of its own, with standard errors from the Gauss-Newton matrix of all that was trained.
+
+    Args:
+        whole: output error over whole records.
+        end: of the training; its first stage for physics alone.
+        validation: losses, see :func:`losses`.
+        price: of the networks; 0 for physics alone.
+        spread: see :func:`train_hybrid`.
+    """
+    system, batch, theta, networks = whole.system, whole.batch, end.theta, end.stage > 0
+    vector_to_parameters(end.weights, whole.extra)
+    values = {i.name: float(theta[k, 0]) for k, i in enumerate(system.table) if i.spec.estimate}
+    parts = losses(whole, theta, batch, roll_out=True)
+    counts = (batch.weight > 0).sum((1, 2)).to(parts.dtype)  # a long record says more of the noise
+    train = float(parts.mean(0) @ counts / counts.sum())
+    exact = replace(whole.engine, gradient="backprop")
+    spread_theta = theta.expand(-1, batch.rows)
+    nodes = free_run(system, exact, batch, batch.x, spread_theta, roll_out=True)[0].nan_to_num(0.0)
+    n_f = len(whole.free)
+    moved = n_f + (whole.weights if networks else 0)
 
     def errors(at: float) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors as residuals without memory give them, and the larger of these and those of ``spread``."""
-        if not np.isfinite(found.train):  # its free run was lost, and says nothing
+        if not np.isfinite(train):  # its free run was lost, and says nothing
             return np.full(len(values), np.nan), np.full(len(values), np.nan)
-        problem = trainer.problem(Stage(0, at, None, False), training)
-        assert problem is not None  # whole records need no windows
-        cost = theta.new_full((1,), found.train * float(problem.data[0]))
-        q = problem.start(theta)
+        problem = replace(whole, batch=with_price(system, batch, at))
+        noise = 2.0 * train
+        cost, q = theta.new_full((1,), train * float(problem.data[0])), problem.start(theta)
         sensitivity = problem.evaluated(q, nodes)
-        matrix = problem.assembled(sensitivity, q, cost)[0]
-        keep = slice(None) if price < torch.inf else slice(0, len(matrix) - problem.weights)
-        inverse = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[: len(problem.free)]
-        plain = ((2.0 * found.train * inverse.clamp_min(0.0)).sqrt() * problem.unit).cpu().numpy()
+        matrix = problem.curvature(sensitivity, q, cost)[0]
+        matrix = matrix if networks else matrix[: -problem.weights, : -problem.weights]
+        inverse = torch.linalg.pinv(matrix, hermitian=True).diagonal()[:n_f]
+        plain = ((noise * inverse.clamp_min(0.0)).sqrt() * problem.unit).cpu().numpy()
         if spread is None:
             return plain, plain
-        moved = len(problem.free) + (problem.weights if price < torch.inf else 0)
-        found_by = spread(*_evidence(problem, sensitivity, cost, len(batch.outputs), moved))
-        return plain, np.maximum(plain, problem.unit.cpu().numpy() * found_by[: len(problem.free)])
+        # parameters in units of their size, residuals in those of their own RMS; prices behind the measured outputs
+        # hold the networks as priors do
+        rows, measured = torch.arange(batch.rows, device=cost.device), len(batch.outputs)
+        jacobians, residuals = sensitivities(
+            sensitivity, rows, rows, problem.batch, Options(loss=problem.loss)
+        )
+        size = np.concatenate([problem.unit.cpu().numpy(), np.ones(moved - n_f)]) / math.sqrt(noise)
+        scaled = [part[..., :moved] * size for part in jacobians]
+        prior = np.diag(problem.held(cost)[0, :moved].cpu().numpy()) / noise
+        prior += sum(np.einsum("tyi,tyj->ij", part[:, measured:], part[:, measured:]) for part in scaled)
+        left = [part[:, :measured] / math.sqrt(noise) for part in residuals]
+        wide = spread([part[:, :measured] for part in scaled], left, prior)[:n_f]
+        return plain, np.maximum(plain, problem.unit.cpu().numpy() * wide)
 
     plain, loose = errors(0.0)
-    return Rung(
-        price, system.with_values(values), found.train, typical(found.validation), found.iterations,
-        found.status, errors(price)[1] if 0.0 < price < torch.inf else loose, loose, plain,
+    return Trained(
+        system.with_values(values), train, typical(validation), end.done, end.status,
+        errors(price)[1] if price > 0.0 else loose, loose, plain,
     )  # fmt: skip
-
-
-def _evidence(
-    problem: Problem, at: Evaluation, cost: Tensor, measured: int, moved: int
-) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """Sensitivities and residuals of each record, and the information that holds parameters and weights beside them.
-
-    Parameters are in units of their size, residuals in those of their own RMS.
-
-    Args:
-        problem: of one set.
-        at: sensitivities at its end.
-        cost: there.
-        measured: number of outputs that are measured; those behind them are prices, which hold the networks.
-        moved: number of parameters and weights that were fitted; the others stand still.
-    """
-    rows, n_f = torch.arange(problem.batch.rows, device=cost.device), len(problem.free)
-    jacobians, residuals = sensitivities(at, rows, rows, problem.batch, Options(loss=problem.loss))
-    noise = float(2.0 * cost / problem.data)
-    size = np.concatenate([problem.unit.cpu().numpy(), np.ones(moved - n_f)]) / math.sqrt(noise)
-    scaled = [part[..., :moved] * size for part in jacobians]
-    prior = np.diag(problem.held(cost)[0, :moved].cpu().numpy()) / noise
-    prior += sum(np.einsum("tyi,tyj->ij", part[:, measured:], part[:, measured:]) for part in scaled)
-    if problem.penalty is not None and moved > n_f:
-        prior[n_f:, n_f:] += problem.penalty.curvature().cpu().numpy() / noise
-    left = [part[:, :measured] / math.sqrt(noise) for part in residuals]
-    return [part[:, :measured] for part in scaled], left, prior

@@ -1,4 +1,4 @@
-"""Fits that are kept in a folder, so that a long run which was stopped goes on where it was."""
+"""What is kept so that a long run which was stopped goes on: finished fits in a folder, and where a training stands."""
 
 from __future__ import annotations
 
@@ -6,18 +6,23 @@ import functools
 import hashlib
 import io
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+import torch
 from torch import Tensor
 
+from hybrid_id import __version__
 from hybrid_id.components.base import Component
+from hybrid_id.errors import InputError
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.files import write_whole
 from hybrid_id.robots.tree import RigidBodyTree
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -203,3 +208,77 @@ def digest_of_tree(tree: RigidBodyTree) -> str:
     """Digest of what equal trees share; a tree has thousands of numbers, and a search has one tree."""
     held_up = tree.believed and digest_of_tree(tree.believed)
     return digest_of((tree.joints, tree.bodies, tree.gravity, tree.couplings, held_up))
+
+
+def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> str:
+    """What the numbers of a training depend on, as one hash: model, start values, networks, records, settings."""
+    components, tree = cast("dict[str, Component]", dict(system.components.items())), system.tree
+    parts = [(key, part.kind, sorted(part.options().items())) for key, part in components.items()]
+    known = hashlib.sha256(repr((system.name, system.gear_ratio, parts, settings)).encode())
+    for info in system.table:
+        known.update(repr((info.name, info.spec)).encode())
+    if tree is not None:
+        known.update(digest_of((digest_of_tree(tree), tree.points, tree.held)).encode())
+    for batch in batches:
+        known.update(repr((batch.names, batch.outputs)).encode())
+        for channel in (batch.dt, batch.y, batch.weight, *batch.u.values()):
+            known.update(channel.detach().cpu().contiguous().numpy().tobytes())
+    return known.hexdigest()
+
+
+def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]) -> None:
+    """Write a checkpoint of tensors, numbers and text, under a temporary name first.
+
+    Args:
+        path: the file.
+        content: where the training stands.
+        identity: kind and fingerprint of the training.
+    """
+    temporary = path.with_name(path.name + ".tmp")
+    program = f"hybrid_id {__version__}"
+    state = dict(content)
+    whole = {"program": program, "identity": identity, "digest": digest_of(state), "state": state}
+    with temporary.open("wb") as file:
+        torch.save(whole, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def read_checkpoint(
+    path: Path, identity: list[str], make: Callable[[dict[str, Any]], Found], device: torch.device
+) -> Found:
+    """Read the checkpoint of a training of these records, model and settings.
+
+    Args:
+        path: the file.
+        identity: see :func:`write_checkpoint`.
+        make: makes of its content what stands in it.
+        device: where the training goes on.
+    """
+    if not path.is_file():
+        raise InputError(f"There is no checkpoint {path}; start without resuming.")
+    try:
+        content = torch.load(path, weights_only=True, map_location=device)
+        if content["digest"] != digest_of(content["state"]):
+            raise InputError(
+                f"{path} is damaged or was altered, for its digest does not fit; start without resuming."
+            )
+        found, made = content["identity"], make(dict(content["state"]))
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path} is no checkpoint of a training ({type(error).__name__}); start without resuming."
+        ) from None
+    if found != identity:
+        raise InputError(
+            f"{path} belongs to other records, another model or other settings; resume with those (config.yaml beside "
+            "it holds them), or start anew."
+        )
+    return made
+
+
+def as_content(state: Any) -> dict[str, Any]:
+    """The fields of a dataclass, as a checkpoint holds them."""
+    return {f.name: getattr(state, f.name) for f in fields(state)}

@@ -100,10 +100,6 @@ class Bounds:
     scale: Tensor
     sized: Tensor
 
-    def to(self, dtype: torch.dtype) -> Bounds:
-        """The same in another precision."""
-        return Bounds(*(value.to(dtype) for value in vars(self).values()))
-
     def clip(self, values: Tensor) -> Tensor:
         """Values ``(G, n_f)`` inside the box."""
         return torch.maximum(torch.minimum(values, self.upper), self.lower)
@@ -391,7 +387,7 @@ def minimise(
     progress: Callable[[int, Tensor, Tensor], bool | None] | None = None,
     nodes: Tensor | None = None,
 ) -> Outcome:
-    """Fit the free parameters of every set to its rows.
+    """Fit the free parameters of every set to its rows; sets that have ended leave the batch.
 
     Args:
         problem: the objective.
@@ -400,206 +396,118 @@ def minimise(
         progress: called after each iteration with (iteration, cost of each set, still running); true ends the fit.
         nodes: states to start from, ``(R, T, n_x)`` (default: the batch's guess).
     """
-    descent = _Descent(problem, theta, options or Options(), nodes)
-    while descent.goes_on:
-        turn = descent.turn()
-        if descent.ended(turn):
-            continue
-        descent.take(turn)
-        if progress is not None and progress(int(descent.iterations.max()), descent.cost, descent.running):
-            descent.leave(torch.ones_like(descent.running, dtype=torch.bool), "interrupted")
-            break
-    return descent.outcome()
+    options, batch, sets = options or Options(), problem.batch, problem.sets
+    theta, index = theta.clone(), torch.tensor(problem.free, device=theta.device)
+    state_rms = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
+    best = problem.at(batch, batch.x if nodes is None else nodes, theta[:, sets], options.loss, options.chunk)
+    cost = problem.cost(best, theta, sets)
+    samples = (batch.weight > 0).sum((1, 2)).to(cost.dtype)
+    data = torch.zeros_like(cost).index_add(0, sets, samples).clamp_min(1.0)
+    start = theta[index].abs().amax(1)
+    bounds = replace(problem.bounds, scale=torch.maximum(0.1 * start, problem.bounds.scale))
+    bounds = replace(bounds, scale=_scale(best, bounds, (2.0 * cost / data)[sets]))
+    known = torch.isfinite(cost)
+    status = ["max_iterations" if ok else "diverged" for ok in known.tolist()]
+    running = known.nonzero().flatten()  # numbers of the sets that still run: an index, no mask
+    damping, growth = (torch.full_like(cost, value) for value in (options.damping, 2.0))
+    iterations = torch.zeros(theta.shape[1], dtype=torch.long, device=theta.device)
+    # what each set does next in place of a step: close the defects of its point, or try a refused step corrected
+    closing, again = (torch.zeros_like(known) for _ in range(2))
+    curved, curved_nodes = theta.clone(), batch.x.clone()
+    # length in standard errors of the last uncorrected step with damping below 1
+    nearest = torch.full_like(cost, torch.inf)
+    history = [cost.clone()]
 
+    def leave(mask: Tensor, reason: str) -> None:
+        for g in running[mask].tolist():
+            status[g] = reason
 
-@dataclass(frozen=True)
-class _Turn:
-    """What an iteration begins with: the sets that run, their rows, and where each would step.
-
-    Attributes:
-        rows: the rows of these sets, ``(R',)``, and ``group``, the set of each among those that run.
-        part: their last evaluation.
-        residual_variance: of the weighted residuals of each set, ``(G',)``.
-        step: to be tried.
-        blur: largest defect of each set, in units of its residuals.
-        short: sets whose step is shorter than the tolerance, undamped.
-    """
-
-    rows: Tensor
-    group: Tensor
-    part: Evaluation
-    residual_variance: Tensor
-    step: LMStep
-    blur: Tensor
-    short: Tensor
-
-
-class _Descent:
-    """A batched fit on its way: what every set has reached, how it is damped, and which sets still run.
-
-    Arguments as in :func:`minimise`. Shapes: G sets, R rows, T samples.
-
-    Attributes:
-        theta: best parameters so far in table order, ``(n_p, G)``; ``index`` are the rows that move, ``(n_f,)``.
-        best: evaluation there, of all R rows.
-        cost: there, with priors, ``(G,)``; ``history`` has it after each iteration.
-        data: number of measurements of each set, ``(G,)``.
-        state_rms: RMS of each row's states, ``(R, n_x)``.
-        bounds: those of the problem, with the sizes that steps are measured by.
-        running: numbers of the sets that still run, ``(<= G,)``: an index into all that is ``(G,)``, no mask.
-        status: why each set ended, G words; "max_iterations" while it runs.
-        iterations: trial steps of each set, ``(G,)``.
-        damping: Marquardt damping of each set, ``(G,)``.
-        growth: factor by which the next refusal raises it, doubled by each refusal and 2 again after a gain, ``(G,)``.
-        closing: sets that next close the defects of the point they stand at, without a step, ``(G,)`` booleans.
-        again: sets that next try a refused step again, corrected for curvature, ``(G,)`` booleans.
-        curved: these corrected parameters, ``(n_p, G)``, and ``curved_nodes`` their nodes, ``(R, T, n_x)``; read
-            where ``again`` is true.
-        nearest: length in standard errors of the last uncorrected step with damping below 1, ``(G,)``; inf before.
-    """
-
-    def __init__(self, problem: LeastSquares, theta: Tensor, options: Options, nodes: Tensor | None) -> None:
-        batch, sets, count = problem.batch, problem.sets, theta.shape[1]
-        self.problem, self.options = problem, options
-        self.theta, self.index = theta.clone(), torch.tensor(problem.free, device=theta.device)
-        self.state_rms = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
-        start_nodes = batch.x if nodes is None else nodes
-        self.best = problem.at(batch, start_nodes, theta[:, sets], options.loss, options.chunk)
-        self.cost = problem.cost(self.best, theta, sets)
-        samples = (batch.weight > 0).sum((1, 2)).to(self.cost.dtype)
-        self.data = torch.zeros_like(self.cost).index_add(0, sets, samples).clamp_min(1.0)
-        start = theta[self.index].abs().amax(1)
-        bounds = replace(problem.bounds, scale=torch.maximum(0.1 * start, problem.bounds.scale))
-        scale = _scale(self.best, bounds, (2.0 * self.cost / self.data)[sets])
-        self.bounds = replace(bounds, scale=scale)
-        known = torch.isfinite(self.cost)
-        self.status = ["max_iterations" if ok else "diverged" for ok in known.tolist()]
-        self.running = known.nonzero().flatten()
-        self.damping, self.growth = (torch.full_like(self.cost, v) for v in (options.damping, 2.0))
-        self.iterations = torch.zeros(count, dtype=torch.long, device=theta.device)
-        self.closing, self.again = (torch.zeros_like(known) for _ in range(2))
-        self.curved, self.curved_nodes = theta.clone(), batch.x.clone()
-        self.nearest = torch.full_like(self.cost, torch.inf)
-        self.history = [self.cost.clone()]
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether a set still runs and may take another step."""
-        running = self.running
-        return bool(running.numel()) and int(self.iterations[running[0]]) < self.options.max_iterations
-
-    @property
-    def residual_variance(self) -> Tensor:
-        """Variance of the weighted residuals of each set, ``(G,)``."""
-        return (2.0 * self.cost / self.data).clamp_min(PERFECT)
-
-    def leave(self, mask: Tensor, reason: str) -> None:
-        """Give some of the sets that run their status."""
-        for g in self.running[mask].tolist():
-            self.status[g] = reason
-
-    def turn(self) -> _Turn:
-        """The rows of the sets that run, and the step of each."""
-        running, sets = self.running, self.problem.sets
-        local = torch.full_like(self.iterations, -1)
+    while running.numel() and int(iterations[running[0]]) < options.max_iterations:
+        local = torch.full_like(iterations, -1)
         local[running] = torch.arange(running.numel(), device=local.device)
         rows = (local[sets] >= 0).nonzero().flatten()
-        group, part = local[sets[rows]], self.best.take(rows)
-        variance = self.residual_variance[running]
-        values = self.theta[self.index][:, running].T
-        step = lm_step(
-            part, group, values, self.damping[running], variance, self.state_rms[rows], self.bounds
-        )
-        honest = (self.damping[running] < 1.0) & ~self.closing[running] & ~self.again[running]
-        self.nearest[running] = torch.where(honest, step.size, self.nearest[running])
-        short = honest & (step.size < self.options.tolerance)
-        return _Turn(rows, group, part, variance, step, _worst(part.defect, group, variance), short)
+        group, part = local[sets[rows]], best.take(rows)
+        variance = (2.0 * cost / data).clamp_min(PERFECT)[running]
+        values = theta[index][:, running].T
+        step = lm_step(part, group, values, damping[running], variance, state_rms[rows], bounds)
+        # after a refusal whose yardstick still had open defects, those are closed before the next trial
+        shut, accelerated = closing[running], again[running]
+        honest = (damping[running] < 1.0) & ~shut & ~accelerated
+        nearest[running] = torch.where(honest, step.size, nearest[running])
+        short = honest & (step.size < options.tolerance)
+        blur = torch.zeros_like(variance).scatter_reduce(0, group, part.defect, "amax") / variance.sqrt()
 
-    def ended(self, turn: _Turn) -> bool:
-        """Let go of the sets that have converged or stalled; whether there were any."""
-        done = turn.short & (turn.blur < SETTLED)
-        stuck, idle = self.damping[self.running] >= STALLED, self._comes_to_nothing()
-        if not bool((done | stuck | idle).any()):
-            return False
-        self.leave(stuck | idle, "stalled")
-        # kinks of dry friction can end the descent a fraction of a standard error early
-        self.leave(done | (stuck & (self.nearest[self.running] < 0.3)), "converged")
-        self.running = self.running[~(done | stuck | idle)]
-        return True
+        done, stuck = short & (blur < SETTLED), damping[running] >= STALLED
+        idle = comes_to_nothing(torch.stack(history)[:, running], data[running], options.least_gain)
+        if bool((done | stuck | idle).any()):
+            leave(stuck | idle, "stalled")
+            # kinks of dry friction can end the descent a fraction of a standard error early
+            leave(done | (stuck & (nearest[running] < 0.3)), "converged")
+            running = running[~(done | stuck | idle)]
+            continue
 
-    def _comes_to_nothing(self) -> Tensor:
-        """Which of the sets that run have gained too little by their last steps, or have lost their way, ``(G',)``."""
-        cost = self.cost[self.running]
-        if self.options.least_gain == 0.0 or len(self.history) <= PATIENCE:
-            return torch.zeros_like(cost, dtype=torch.bool)
-        costs = torch.stack(self.history)[:, self.running]
-        beyond = (cost - 0.5 * self.data[self.running]).clamp_min(0.0)
-        gain = costs[-1 - PATIENCE] - cost
-        # a cost that has risen was too low by open defects: the fit is not where it was
-        nothing = NOTHING * self.residual_variance[self.running]
-        little = (gain >= 0.0) & (gain < torch.maximum(self.options.least_gain * beyond, nothing))
-        return little | (cost > LOST * costs.amin(0))
-
-    def take(self, turn: _Turn) -> None:
-        """Try the step of every set that runs, and keep it where the cost falls."""
-        running, group, step, problem = self.running, turn.group, turn.step, self.problem
-        # after a refusal whose yardstick still had open defects, close those before the next trial
-        shut, accelerated = self.closing[running], self.again[running]
-        going = (~shut).to(self.cost.dtype)
-        trial = self.theta[:, running].clone()
-        trial[self.index] = self.bounds.clip(step.values + going[:, None] * step.shift).T
-        trial = torch.where(accelerated, self.curved[:, running], trial)
-        corrected = accelerated[group, None, None]
-        x = torch.where(corrected, self.curved_nodes[turn.rows], step.nodes(turn.part, going))
+        going = (~shut).to(cost.dtype)
+        trial = theta[:, running].clone()
+        trial[index] = bounds.clip(step.values + going[:, None] * step.shift).T
+        trial = torch.where(accelerated, curved[:, running], trial)
+        x = torch.where(accelerated[group, None, None], curved_nodes[rows], step.nodes(part, going))
         # near the end the nodes move so little that no event changes its sample: Newton closes the defects alone
-        near = bool(((turn.blur < SHARP) & (step.size < 3.0)).all())
-        tried = problem.batch.take(turn.rows)
-        new = problem.at(tried, x, trial[:, group], self.options.loss, 1 if near else self.options.chunk)
-        cycling = (new.defect > 2 * SETTLED * turn.residual_variance.sqrt()[group]) & (
-            new.defect > 0.7 * turn.part.defect
-        )
-        cycling &= (shut | turn.short)[group]
-        new = problem.close(new, tried, trial[:, group], cycling, turn.short[group], self.options)
+        near = bool(((blur < SHARP) & (step.size < 3.0)).all())
+        tried = batch.take(rows)
+        new = problem.at(tried, x, trial[:, group], options.loss, 1 if near else options.chunk)
+        cycling = (new.defect > 2 * SETTLED * variance.sqrt()[group]) & (new.defect > 0.7 * part.defect)
+        cycling &= (shut | short)[group]
+        new = problem.close(new, tried, trial[:, group], cycling, short[group], options)
         shut = shut.index_fill(0, group[cycling], True)
-        self._keep(turn, trial, new, shut, accelerated)
 
-    def _keep(self, turn: _Turn, trial: Tensor, new: Evaluation, shut: Tensor, accelerated: Tensor) -> None:
-        """Keep what was tried where the cost has fallen; say how each set is damped and what it tries next."""
-        running, step = self.running, turn.step
-        new_cost = self.problem.cost(new, trial, turn.group)
-        gained, finite = self.cost[running] - new_cost, torch.isfinite(new_cost)
-        accepted = finite & ((gained >= -1e-9 * self.cost[running]) | shut)
+        new_cost = problem.cost(new, trial, group)
+        gained, finite = cost[running] - new_cost, torch.isfinite(new_cost)
+        accepted = finite & ((gained >= -1e-9 * cost[running]) | shut)
         redo = ~accepted & finite & ~accelerated & ~shut
         if bool(redo.any()):
-            values, nodes = geodesic_acceleration(step, turn.part, new, self.bounds, self.options.loss)
-            self.curved_nodes[turn.rows] = nodes
-            self.curved[:, running] = trial
-            self.curved[self.index[:, None], running] = values.T
-        self.again[running] = redo
-        self.closing[running] = ~accepted & ~redo & (turn.blur > 2 * SETTLED)
-        self.iterations[running] += 1
-        keep = accepted[turn.group].nonzero().flatten()
-        self.best = self.best.with_rows(turn.rows[keep], new.take(keep))
-        self.theta[:, running[accepted]] = trial[:, accepted]
-        self.cost[running[accepted]] = new_cost[accepted]
-        self.history.append(self.cost.clone())
+            corrected, curved_nodes[rows] = geodesic_acceleration(step, part, new, bounds, options.loss)
+            curved[:, running] = trial
+            curved[index[:, None], running] = corrected.T
+        again[running] = redo
+        closing[running] = ~accepted & ~redo & (blur > 2 * SETTLED)
+        iterations[running] += 1
+        keep = accepted[group].nonzero().flatten()
+        best = best.with_rows(rows[keep], new.take(keep))
+        theta[:, running[accepted]] = trial[:, accepted]
         # curved valleys are long: a prediction that holds earns a much larger step at once
-        ratio, growth = gained / step.predicted.clamp_min(1e-300), self.growth[running]
-        ease = torch.where(ratio > 0.75, 0.1, torch.where(ratio > 0.25, 0.5, 2.0)).to(self.cost.dtype)
-        ease = torch.where(accelerated, 1.0, ease).where(accepted, growth).where(~(shut | redo), 1.0)
-        self.growth[running] = torch.where(accepted, 2.0, torch.where(redo, 1.0, 2.0) * growth)
-        self.damping[running] = (self.damping[running] * ease).clamp(1e-12, STALLED)
-
-    def outcome(self) -> Outcome:
-        """The end of every set; its rows run freely where the options ask for that."""
-        problem, theta, options, best = self.problem, self.theta, self.options, self.best
-        if not options.closed:
-            return Outcome(theta, self.cost, self.iterations, self.status, best, self.history)
-        sets = problem.sets
-        open_rows = best.defect > SETTLED * self.residual_variance.sqrt()[sets]
-        best = problem.close(best, problem.batch, theta[:, sets], open_rows, open_rows, options)
+        ratio, refusal = gained / step.predicted.clamp_min(1e-300), growth[running]
+        cost[running[accepted]] = new_cost[accepted]
+        history.append(cost.clone())
+        ease = torch.where(ratio > 0.75, 0.1, torch.where(ratio > 0.25, 0.5, 2.0)).to(cost.dtype)
+        ease = torch.where(accelerated, 1.0, ease).where(accepted, refusal).where(~(shut | redo), 1.0)
+        growth[running] = torch.where(accepted, 2.0, torch.where(redo, 1.0, 2.0) * refusal)
+        damping[running] = (damping[running] * ease).clamp(1e-12, STALLED)
+        if progress is not None and progress(int(iterations.max()), cost, running):
+            leave(torch.ones_like(running, dtype=torch.bool), "interrupted")
+            break
+    if options.closed:  # the end is a free run
+        open_rows = best.defect > SETTLED * (2.0 * cost / data).clamp_min(PERFECT).sqrt()[sets]
+        best = problem.close(best, batch, theta[:, sets], open_rows, open_rows, options)
         cost = problem.cost(best, theta, sets)
-        return Outcome(theta, cost, self.iterations, self.status, best, self.history)
+    return Outcome(theta, cost, iterations, status, best, history)
+
+
+def comes_to_nothing(costs: Tensor, data: Tensor, least_gain: float) -> Tensor:
+    """Which sets have gained too little by their last steps, or have lost their way, ``(G,)``.
+
+    Args:
+        costs: of each set after each iteration, ``(k, G)``.
+        data: number of measurements of each set, ``(G,)``.
+        least_gain: see :class:`Options`.
+    """
+    cost = costs[-1]
+    if least_gain == 0.0 or len(costs) <= PATIENCE:
+        return torch.zeros_like(cost, dtype=torch.bool)
+    beyond, gain = (cost - 0.5 * data).clamp_min(0.0), costs[-1 - PATIENCE] - cost
+    # a cost that has risen was too low by open defects: the fit is not where it was
+    nothing = NOTHING * (2.0 * cost / data).clamp_min(PERFECT)
+    little = (gain >= 0.0) & (gain < torch.maximum(least_gain * beyond, nothing))
+    return little | (cost > LOST * costs.amin(0))
 
 
 def _scale(e: Evaluation, bounds: Bounds, residual_variance: Tensor) -> Tensor:
@@ -617,9 +525,3 @@ def _scale(e: Evaluation, bounds: Bounds, residual_variance: Tensor) -> Tensor:
     total = information[known].mean(0) if bool(known.any()) else torch.zeros_like(bounds.scale)
     unknown = (bounds.sized == 0) & (total > 0)
     return torch.where(unknown, torch.maximum(total.clamp_min(1e-300).rsqrt(), bounds.scale), bounds.scale)
-
-
-def _worst(defect: Tensor, group: Tensor, residual_variance: Tensor) -> Tensor:
-    """Largest defect among the rows of each set, in units of its residuals."""
-    largest = torch.zeros_like(residual_variance).scatter_reduce(0, group, defect, "amax")
-    return largest / residual_variance.sqrt()

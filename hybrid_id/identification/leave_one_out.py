@@ -106,7 +106,11 @@ class Linearised:
         self.scaled = jacobian / self.size
         own = [self.scaled[self.parts == i].reshape(-1, len(self.inside)) for i in range(PARTS)]
         hessian = sum(j.T @ j for j in own) + np.diag(self.precision / self.size**2)
-        self.inverses = [_inverse(hessian - j.T @ j) for j in own]
+        self.inverses = []
+        for j in own:  # pseudo-inverse along the directions that the others identify
+            values, vectors = np.linalg.eigh(hessian - j.T @ j)
+            seen = values > 1e-8 * max(values[-1], 1e-300)
+            self.inverses.append((vectors[:, seen] / values[seen]) @ vectors[:, seen].T)
 
     def steps(self, part: int, point: np.ndarray, left: np.ndarray) -> np.ndarray:
         """Points at shares of the step that the samples of all other parts ask for, ``(S, n_f)``.
@@ -151,13 +155,6 @@ def started_without(result: FitResult, batch: Batch, fold: np.ndarray) -> np.nda
         cost = [model.cost(part, p, run) for p, run in zip(points, runs, strict=True)]
         found.append(points[int(np.argmin(cost))])
     return np.array(found)
-
-
-def _inverse(hessian: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse along the directions that are identified."""
-    values, vectors = np.linalg.eigh(hessian)
-    seen = values > 1e-8 * max(values[-1], 1e-300)
-    return (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
 
 
 def _parts(batch: Batch) -> np.ndarray:

@@ -1,18 +1,17 @@
-"""Residual networks before and while they train: scales, prices, hidden states, and sensitivities to the weights.
+"""Residual networks before and while they train: scales, price, hidden states, and sensitivities to the weights.
 
-Sources: Y. Yin et al., APHYNITY, ICLR 2021 (price of the norm); B. M. Gyorok et al., Orthogonal projection-based
-regularization for efficient model augmentation, L4DC 2025, PMLR 283 (price of the overlap with the physics);
-J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., 2006, sec. 10.3 (Gauss-Newton metric).
+Sources: Y. Yin et al., APHYNITY, ICLR 2021 (price of the norm); J. Nocedal, S. Wright,
+Numerical Optimization, 2nd ed., 2006, sec. 10.3 (Gauss-Newton metric).
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from hybrid_id.components.bristle import relax
 from hybrid_id.components.residual import ResidualNetwork
@@ -153,138 +152,33 @@ def linearise_with_weights(
     """
     lin = linearise_sorted(system, engine, batch, x, theta, free)
     rows, samples, n_x = x.shape
-    flat, dt = x.reshape(-1, n_x), batch.dt.reshape(-1)
-    u, spread = {n: c.reshape(-1) for n, c in batch.u.items()}, theta.repeat_interleave(samples, 1)
-    found = [
-        _by_weights(
-            system, engine, flat[b], {n: c[b] for n, c in u.items()}, dt[b], spread[:, b], batch.outputs
-        )
-        for b in slices(len(dt), LANES)
-    ]
-    later, now = (torch.cat(part).unflatten(0, (rows, samples)) for part in zip(*found, strict=True))
+    flat_x, flat_dt = x.reshape(-1, n_x), batch.dt.reshape(-1)
+    flat_u, spread = {n: c.reshape(-1) for n, c in batch.u.items()}, theta.repeat_interleave(samples, 1)
+    found: tuple[list[Tensor], list[Tensor]] = [], []
+    for block in slices(len(flat_dt), LANES):
+        p, dt, leaves = system.views(list(spread[:, block])), flat_dt[block], []
+        for key, part in system.networks.items():
+            for name, weight in part.weights().items():
+                # each lane has weights of its own, so that one backward pass differentiates all of them
+                leaf = weight.detach()[..., None].expand(*weight.shape, len(dt)).clone().requires_grad_()
+                setattr(p[key], name, leaf)
+                leaves.append(leaf)
+        state, u = list(flat_x[block].unbind(1)), {n: c[block] for n, c in flat_u.items()}
+        with torch.enable_grad():
+            now = system.outputs(batch.outputs, state, u, p)
+            later = engine.sample(system, state, u, dt, p)
+        for targets, jacobians in zip((later, now), found, strict=True):
+            columns = []
+            for target in targets:
+                grads: Sequence[Tensor | None] = [None] * len(leaves)
+                if target.requires_grad:
+                    grads = torch.autograd.grad(target.sum(), leaves, retain_graph=True, allow_unused=True)
+                pairs = zip(grads, leaves, strict=True)
+                flat = [(torch.zeros_like(w) if g is None else g).reshape(-1, len(dt)) for g, w in pairs]
+                columns.append(torch.cat(flat).T)
+            jacobians.append(torch.stack(columns, 1))
+    later, now = (torch.cat(part).unflatten(0, (rows, samples)) for part in found)
     return replace(lin, b=torch.cat([lin.b, later], -1), d=torch.cat([lin.d, now], -1))
-
-
-def _by_weights(
-    system: System,
-    engine: OdeEngine,
-    x: Tensor,
-    u: dict[str, Tensor],
-    dt: Tensor,
-    theta: Tensor,
-    outputs: Sequence[str],
-) -> tuple[Tensor, Tensor]:
-    """Derivatives of the state a sample later and of the outputs by all weights, ``(B, n, n_w)`` each."""
-    p, lanes, leaves = system.views(list(theta)), len(dt), []
-    for key, part in system.networks.items():
-        for name, weight in part.weights().items():
-            leaf = weight.detach()[..., None].expand(*weight.shape, lanes).clone().requires_grad_()
-            setattr(p[key], name, leaf)
-            leaves.append(leaf)
-    count = sum(leaf.numel() for leaf in leaves) // lanes
-    state = list(x.unbind(1))
-
-    def jacobian(targets: Sequence[Tensor]) -> Tensor:
-        rows = []
-        for target in targets:
-            if not target.requires_grad:
-                rows.append(x.new_zeros(lanes, count))
-                continue
-            grads = torch.autograd.grad(target.sum(), leaves, retain_graph=True, allow_unused=True)
-            columns = [torch.zeros_like(w) if g is None else g for w, g in zip(leaves, grads, strict=True)]
-            rows.append(torch.cat([c.reshape(-1, lanes) for c in columns]).T)
-        return torch.stack(rows, 1)
-
-    with torch.enable_grad():
-        now, later = system.outputs(outputs, state, u, p), engine.sample(system, state, u, dt, p)
-    return jacobian(later), jacobian(now)
-
-
-@dataclass(frozen=True)
-class Projection:
-    """Price of the networks' overlap with the physics, ``w / 2 ||Q' c||^2``, along fixed states.
-
-    Here c are the accelerations that the networks cause there and Q is an orthonormal basis of those that the estimated
-    parameters cause. The weight w makes a mean square of ``(Q' c)`` equal to that of output scales everywhere cost as
-    much as a mean square output error of ``price`` noise variances.
-
-    Attributes:
-        system: holds the networks.
-        weights: all of them, in the order of the system's parameters.
-        x, u, values: states, channels and parameters (table order), along which c is taken.
-        through: by network's output name, ``sqrt(w) Q' diag(e)`` with the accelerations e of a unit output, ``(n, N)``.
-    """
-
-    system: System
-    weights: list[nn.Parameter]
-    x: list[Tensor]
-    u: dict[str, Tensor]
-    values: list[Tensor]
-    through: dict[str, Tensor]
-
-    def parts(self) -> Tensor:
-        """Weighted parts of the networks' accelerations along each direction of Q, ``(n,)``."""
-        names = list(self.through)
-        outputs = self.system.outputs(names, self.x, self.u, self.system.views(self.values))
-        found = []
-        for name, output in zip(names, outputs, strict=True):
-            matrix = self.through[name]
-            found.append(matrix @ output.expand_as(self.x[0]).repeat(matrix.shape[1] // len(self.x[0])))
-        return torch.stack(found).sum(0)
-
-    def value(self) -> tuple[Tensor, Tensor]:
-        """Price of the weights as they are, and its gradient, ``(n_w,)``."""
-        with torch.enable_grad():
-            cost = 0.5 * self.parts().square().sum()
-            grads = torch.autograd.grad(cost, self.weights, allow_unused=True)
-        return cost.detach(), self._flat(grads)
-
-    def curvature(self) -> Tensor:
-        """Its Gauss-Newton matrix in the weights, ``(n_w, n_w)``."""
-        with torch.enable_grad():
-            parts = self.parts()
-            rows = [
-                self._flat(torch.autograd.grad(p, self.weights, retain_graph=True, allow_unused=True))
-                for p in parts
-            ]
-        jacobian = torch.stack(rows)
-        return jacobian.T @ jacobian
-
-    def _flat(self, grads: tuple[Tensor | None, ...]) -> Tensor:
-        pairs = zip(grads, self.weights, strict=True)
-        return torch.cat([(torch.zeros_like(w) if g is None else g).flatten() for g, w in pairs])
-
-
-def projection(
-    system: System, batch: Batch, theta: Tensor, weights: list[nn.Parameter], *, width: float, price: float
-) -> Projection | None:
-    """The price of overlap along the states of a batch's guess; None where there is none to pay.
-
-    Args:
-        system: holds the networks.
-        batch: rows; samples without a measurement do not count.
-        theta: all parameters, ``(n_p, 1)``.
-        weights: of the networks.
-        width: speed over which friction is smoothed [rad/s].
-        price: see :class:`Projection`.
-    """
-    used = (batch.weight > 0).any(2).reshape(-1)
-    x = [column.reshape(-1)[used] for column in batch.x.unbind(2)]
-    u = {name: channel.reshape(-1)[used] for name, channel in batch.u.items()}
-    values = list(theta.detach())
-    found = effects(system, width, x, u, values)
-    free = [found[name] for name in physical_names(system)]
-    basis = span(torch.stack(free, 1)) if free else x[0].new_zeros(len(x[0]), 0)
-    if price == 0.0 or basis.shape[1] == 0:
-        return None
-    data = float((batch.weight > 0).sum())
-    caused = {
-        name: found[f"b_0 {networks.joint.name}/{place}"] for name, place, _, networks in networks_of(system)
-    }
-    scales = {name: part.output_scale for name, _, part, _ in networks_of(system)}
-    size = sum(float((caused[n] * scales[n]).square().sum()) for n in caused)
-    weight = (price * data / max(size, 1e-300)) ** 0.5
-    return Projection(system, weights, x, u, values, {n: weight * basis.T * e for n, e in caused.items()})
 
 
 def effects(

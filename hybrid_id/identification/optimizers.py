@@ -1,20 +1,15 @@
-"""Optimisers of the adjoint training, one gradient a call: damped quasi-Newton steps, or Adam for large networks.
+"""Optimisers of the adjoint training, one gradient a call: damped Gauss-Newton steps, or Adam for large networks.
 
-Quasi-Newton: every set has its own metric, damping and end. The metric of parameters and first states is the
-Gauss-Newton matrix, taken anew after a few accepted steps; in between, and for weights beyond the networks always, it
-follows the gradients by BFGS. Steps are those of Levenberg-Marquardt, inside the bounds.
+Gauss-Newton: every set has its own metric, damping and end. The metric is the Gauss-Newton matrix, taken anew after
+each accepted step. Steps are those of Levenberg-Marquardt, inside the bounds.
 
-Adam serves where no matrix of the weights is affordable. Its gradient is that of the loss per measurement in the scaled
-decision vector, clipped to a largest length before it enters the moments: a record that nearly diverges then costs one
-step, not the history.
+Adam (`torch.optim`) serves where no matrix of the weights is affordable. Its gradient is that of the loss per
+measurement in the scaled decision vector, clipped to a largest length before it enters the moments: a record that
+nearly diverges then costs one step, not the history.
 
-Neither is one of torch.optim: those move parameters without bounds, take one set at a time, and keep a state that
-cannot be thrown away when a trial step diverges.
-
-Sources: J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., 2006: BFGS eq. (6.19), Gauss-Newton sec. 10.3;
-H. B. Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05; D. P. Kingma, J. Ba, Adam, ICLR 2015,
-algorithm 1; R. Pascanu, T. Mikolov, Y. Bengio, On the difficulty of training recurrent neural networks, ICML 2013,
-algorithm 1 (clipping).
+Sources: J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., 2006, sec. 10.3; H. B. Nielsen, Damping Parameter in
+Marquardt's Method, IMM-REP-1999-05; D. P. Kingma, J. Ba, Adam, ICLR 2015; R. Pascanu, T. Mikolov, Y. Bengio, On the
+difficulty of training recurrent neural networks, ICML 2013, algorithm 1 (clipping).
 """
 
 from __future__ import annotations
@@ -23,14 +18,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.least_squares import bounded_lm_step
 from hybrid_id.simulation.rollout import rollout
 
-DECAY, DECAY_SQUARE, TINY = 0.9, 0.999, 1e-8
-"""Of Adam."""
 SMALLEST_RATE = 1e-4
 """Share of the first step at which a descent that diverges again and again has stalled."""
 DAMPING, LARGEST_DAMPING = 1e-3, 1e4
@@ -69,20 +62,20 @@ class OptimizerState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuasiNewtonState(OptimizerState):
-    """Where a quasi-Newton training stands; ``distance`` is the length of the undamped step in standard errors.
+class GaussNewtonState(OptimizerState):
+    """Where a Gauss-Newton training stands; ``distance`` is the length of the undamped step in standard errors.
 
     Attributes:
         metric: ``(G, N, N)``, positive definite.
+        moved: whether the set has moved since its metric was taken, ``(G,)``.
         damping: added share of the metric's diagonal, ``(G,)``; growth: its factor when a step fails.
-        age: accepted steps since the metric was taken anew, ``(G,)``.
         steps: gradients of each set, ``(G,)``.
     """
 
     metric: Tensor
+    moved: Tensor
     damping: Tensor
     growth: Tensor
-    age: Tensor
     steps: Tensor
 
 
@@ -91,12 +84,11 @@ class AdamState(OptimizerState):
     """Where a training by Adam stands, for one set; ``distance`` is the length of the gradient before it is clipped.
 
     Attributes:
-        mean, square: running means of the gradient and of its square, ``(1, N)``.
+        adam: state of `torch.optim.Adam`.
         rate: share of the full step that is left after divergences.
     """
 
-    mean: Tensor
-    square: Tensor
+    adam: dict[str, Any]
     rate: float
 
 
@@ -117,7 +109,7 @@ def _started(problem: Problem, theta: Tensor, stage: int, done: int) -> tuple[Pr
     }  # fmt: skip
 
 
-def begin(problem: Problem, theta: Tensor, stage: int, before: QuasiNewtonState | None) -> QuasiNewtonState:
+def begin(problem: Problem, theta: Tensor, stage: int, before: GaussNewtonState | None) -> GaussNewtonState:
     """The state at the start of a stage: steps of the engine, first gradient, Gauss-Newton metric.
 
     Args:
@@ -127,43 +119,21 @@ def begin(problem: Problem, theta: Tensor, stage: int, before: QuasiNewtonState 
         before: end of the stage before.
     """
     problem, start = _started(problem, theta, stage, 0 if before is None else before.iteration)
-    running, zero = start["running"], torch.zeros_like(start["cost"])
+    q, running, zero = start["q"], start["running"], torch.zeros_like(start["cost"])
     steps = torch.zeros_like(running, dtype=torch.long) if before is None else before.steps
-    metric = problem.first_metric(start["q"], start["slope"])
-    state = QuasiNewtonState(
+    state = GaussNewtonState(
         **start,
-        metric=metric,
+        metric=torch.eye(q.shape[1], dtype=q.dtype, device=q.device).repeat(len(q), 1, 1),
+        moved=torch.zeros_like(running),
         damping=zero + DAMPING,
         growth=zero + 2.0,
-        age=zero,
         distance=zero,
         steps=steps + 1,
     )
-    return _renew(problem, state, running.nonzero().flatten())
+    return _with_metric(problem, state, running)
 
 
-def _with_stable_steps(problem: Problem, state: QuasiNewtonState) -> tuple[Problem, QuasiNewtonState]:
-    """The problem with the steps that the engine needs where the sets stand now, and the state under it."""
-    problem.set_weights(state.q)
-    before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
-    theta, batch = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
-    engine = before.stable(problem.system, batch, theta)
-    problem = replace(problem, engine=engine)
-    if engine == before:
-        return problem, state
-    cost, slope, run = problem.value(state.q, state.nodes)
-    kept = state.running & torch.isfinite(cost) & torch.isfinite(slope).all(1)
-    rows = kept[problem.sets]
-    state = replace(
-        state, substeps=engine.substeps, fine=engine.fine, iteration=state.iteration + 1,
-        cost=cost.where(kept, state.cost), slope=slope.where(kept[:, None], state.slope),
-        nodes=run.x.where(rows[:, None, None], state.nodes), y=run.y.where(rows[:, None, None], state.y),
-        steps=state.steps + kept,
-    )  # fmt: skip
-    return problem, _renew(problem, state, kept.nonzero().flatten())
-
-
-def prolonged(state: QuasiNewtonState, max_iterations: int) -> QuasiNewtonState:
+def prolonged(state: GaussNewtonState, max_iterations: int) -> GaussNewtonState:
     """A state read from a checkpoint, whose sets go on where a larger limit now leaves them gradients."""
     if state.iteration - state.began >= max_iterations:
         return state
@@ -172,17 +142,15 @@ def prolonged(state: QuasiNewtonState, max_iterations: int) -> QuasiNewtonState:
     return replace(state, status=status, running=running)
 
 
-def _renew(problem: Problem, state: QuasiNewtonState, chosen: Tensor) -> QuasiNewtonState:
-    """The state with the metric of some sets taken anew, that of the weights kept."""
+def _with_metric(problem: Problem, state: GaussNewtonState, wanted: Tensor) -> GaussNewtonState:
+    """The state with the metric of some sets taken where they stand, from forward sensitivities."""
+    chosen = wanted.nonzero().flatten()
     if chosen.numel() == 0:
         return state
     part, rows = problem.of(chosen)
-    physical = part.curvature(state.q[chosen], state.nodes[rows], state.cost[chosen])
-    metric, age, size = state.metric.clone(), state.age.clone(), physical.shape[1]
-    metric[chosen, :size], metric[chosen, :, :size] = 0.0, 0.0
-    metric[chosen, :size, :size] = physical
-    age[chosen] = 0.0
-    return replace(state, metric=metric, age=age)
+    q, metric = state.q[chosen], state.metric.clone()
+    metric[chosen] = part.curvature(part.evaluated(q, state.nodes[rows]), q, state.cost[chosen])
+    return replace(state, metric=metric, moved=state.moved & ~wanted)
 
 
 def _step(metric: Tensor, slope: Tensor, damping: Tensor, box: tuple[Tensor, Tensor]) -> Tensor:
@@ -191,7 +159,7 @@ def _step(metric: Tensor, slope: Tensor, damping: Tensor, box: tuple[Tensor, Ten
     return unit * bounded_lm_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
 
 
-def _distance(problem: Problem, state: QuasiNewtonState) -> Tensor:
+def _distance(problem: Problem, state: GaussNewtonState) -> Tensor:
     """Length of the undamped step of each set in standard errors, ``(G,)``."""
     box = problem.box(state.q, trust=False)
     step = _step(state.metric, state.slope, torch.zeros_like(state.cost), box)
@@ -200,23 +168,40 @@ def _distance(problem: Problem, state: QuasiNewtonState) -> Tensor:
 
 
 def advance(
-    problem: Problem, state: QuasiNewtonState, tolerance: float, max_iterations: int, refresh: int
-) -> QuasiNewtonState:
-    """One gradient of every running set: trial, acceptance, update of the metric.
+    problem: Problem, state: GaussNewtonState, tolerance: float, max_iterations: int
+) -> GaussNewtonState:
+    """One gradient of every running set: trial, and acceptance.
 
-    A set ends when a metric that was taken at its own point says that it has arrived.
+    A set ends when the metric at its own point says that it has arrived.
 
     Args:
         problem: objective.
         state: where the sets stand.
         tolerance: standard errors within which a set has arrived.
         max_iterations: gradients in this stage.
-        refresh: accepted steps after which the metric is taken anew.
     """
-    problem, state = _with_stable_steps(problem, state)
-    due = (state.age >= refresh) | ((state.age > 0) & (_distance(problem, state) < tolerance))
-    state = _renew(problem, state, (state.running & due).nonzero().flatten())
-    distance, status, running = _distance(problem, state), list(state.status), state.running.clone()
+    # the steps that the engine needs where the sets stand now
+    problem.set_weights(state.q)
+    before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
+    theta, here = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
+    engine = before.stable(problem.system, here, theta)
+    problem = replace(problem, engine=engine)
+    if engine != before:
+        cost, slope, run = problem.value(state.q, state.nodes)
+        kept = state.running & torch.isfinite(cost) & torch.isfinite(slope).all(1)
+        rows = kept[problem.sets, None, None]
+        state = replace(
+            state, substeps=engine.substeps, fine=engine.fine, iteration=state.iteration + 1,
+            cost=cost.where(kept, state.cost), slope=slope.where(kept[:, None], state.slope),
+            nodes=run.x.where(rows, state.nodes), y=run.y.where(rows, state.y), steps=state.steps + kept,
+            moved=state.moved | kept,
+        )  # fmt: skip
+    state = _with_metric(problem, state, state.running & state.moved)
+
+    step = _step(state.metric, state.slope, torch.zeros_like(state.cost), problem.box(state.q, trust=False))
+    size = (step * (state.metric @ step[..., None])[..., 0]).sum(1).clamp_min(0.0)
+    distance = (size * problem.data / (2.0 * state.cost).clamp_min(1e-300)).sqrt()
+    status, running = list(state.status), state.running.clone()
     for g in running.nonzero().flatten().tolist():
         if float(distance[g]) < tolerance:
             status[g] = "converged"
@@ -242,12 +227,6 @@ def advance(
     ease = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(0.1, 2.0)
     growth = state.growth[chosen]
 
-    change = slope - state.slope[chosen]
-    curved, stiff = (step * change).sum(1), (step * pulled).sum(1)
-    usable = accepted & (curved > 1e-8 * step.norm(dim=1) * change.norm(dim=1))
-    update = _outer(change) / curved[:, None, None] - _outer(pulled) / stiff[:, None, None]
-    metric = torch.where(usable[:, None, None], metric + update, metric)
-
     def at(old: Tensor, index: Tensor, new: Tensor) -> Tensor:
         return old.index_copy(0, index, new.to(old.dtype))
 
@@ -259,23 +238,18 @@ def advance(
         q=at(state.q, taken, (state.q[chosen] + step)[accepted]),
         slope=at(state.slope, taken, slope[accepted]),
         cost=new_cost,
-        metric=at(state.metric, chosen, metric),
+        moved=at(state.moved, chosen, accepted),
         damping=at(state.damping, chosen, damping * torch.where(accepted, ease, growth)),
         growth=at(state.growth, chosen, torch.where(accepted, torch.full_like(growth, 2.0), 2.0 * growth)),
-        age=at(state.age, chosen, state.age[chosen] + accepted),
         steps=at(state.steps, chosen, state.steps[chosen] + 1),
         nodes=at(state.nodes, rows[moved], run.x[moved]),
         y=at(state.y, rows[moved], run.y[moved]),
         history=[*state.history, new_cost],
-    )  # fmt: skip
-
-
-def _outer(vector: Tensor) -> Tensor:
-    return vector[:, :, None] * vector[:, None, :]
+    )
 
 
 def begin_descent(problem: Problem, theta: Tensor, stage: int) -> AdamState:
-    """The descent at the start of a stage.
+    """Adam at the start of a stage.
 
     Args:
         problem: objective of the stage, with one set.
@@ -283,8 +257,7 @@ def begin_descent(problem: Problem, theta: Tensor, stage: int) -> AdamState:
         stage: its number.
     """
     problem, start = _started(problem, theta, stage, 0)
-    zero, length = torch.zeros_like(start["q"]), start["slope"].norm(dim=1) / problem.data
-    return AdamState(**start, mean=zero, square=zero, rate=1.0, distance=length)
+    return AdamState(**start, adam={}, rate=1.0, distance=start["slope"].norm(dim=1) / problem.data)
 
 
 def descend(problem: Problem, state: AdamState, rate: float, clip: float, max_iterations: int) -> AdamState:
@@ -297,34 +270,36 @@ def descend(problem: Problem, state: AdamState, rate: float, clip: float, max_it
         clip: largest length of the gradient.
         max_iterations: gradients in this stage.
     """
-    count = state.iteration - state.began
-    if count >= max_iterations or state.rate < SMALLEST_RATE:
-        status = "max_iterations" if count >= max_iterations else "stalled"
+    spent = state.iteration - state.began >= max_iterations
+    if spent or state.rate < SMALLEST_RATE:
+        status = "max_iterations" if spent else "stalled"
         return replace(state, running=torch.zeros_like(state.running), status=[status])
     theta, batch = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
     before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
     problem.set_weights(state.q)
     engine = before.stable(problem.system, batch, theta)
     problem = replace(problem, engine=engine)
-    gradient = clipped(state.slope / problem.data[:, None], clip)
-    mean = DECAY * state.mean + (1.0 - DECAY) * gradient
-    square = DECAY_SQUARE * state.square + (1.0 - DECAY_SQUARE) * gradient.square()
-    unbiased = mean / (1.0 - DECAY**count), square / (1.0 - DECAY_SQUARE**count)
-    step = -rate * state.rate * unbiased[0] / (unbiased[1].sqrt() + TINY)
+    moved = nn.Parameter(state.q.clone())
+    adam = torch.optim.Adam([moved])
+    if state.adam:
+        adam.load_state_dict(state.adam)
+    adam.param_groups[0]["lr"] = rate * state.rate
+    moved.grad = state.slope / problem.data[:, None]
+    nn.utils.clip_grad_norm_([moved], clip)
+    adam.step()
     low, high = problem.box(state.q)
-    q = state.q + torch.maximum(torch.minimum(step, high), low)
+    q = state.q + torch.maximum(torch.minimum(moved.detach() - state.q, high), low)
     cost, slope, run = problem.value(q, state.nodes)
-    state = replace(state, iteration=state.iteration + 1, substeps=engine.substeps, fine=engine.fine)
+    state = replace(
+        state,
+        iteration=state.iteration + 1,
+        substeps=engine.substeps,
+        fine=engine.fine,
+        adam=adam.state_dict(),
+    )
     if not bool(torch.isfinite(cost).all() and torch.isfinite(slope).all()):
-        # the averages count every gradient, as the correction of their beginning does
-        halved = replace(state, rate=0.5 * state.rate, history=[*state.history, state.cost])
-        return replace(halved, mean=mean, square=square)
+        return replace(state, rate=0.5 * state.rate, history=[*state.history, state.cost])
     return replace(
-        state, q=q, slope=slope, cost=cost, mean=mean, square=square, nodes=run.x, y=run.y,
-        distance=slope.norm(dim=1) / problem.data, history=[*state.history, cost],
+        state, q=q, slope=slope, cost=cost, nodes=run.x, y=run.y, distance=slope.norm(dim=1) / problem.data,
+        history=[*state.history, cost],
     )  # fmt: skip
-
-
-def clipped(gradient: Tensor, longest: float) -> Tensor:
-    """The gradient of each set, ``(G, N)``, shortened to a largest length."""
-    return gradient * (longest / gradient.norm(dim=1, keepdim=True).clamp_min(longest))

@@ -19,7 +19,6 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import NO_ESTIMATE, FitResult
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.systems.chain import System
 
 NOISE = 1.05
 """RMS of the weighted residuals up to which they are noise: no other end can be much lower."""
@@ -69,7 +68,12 @@ def confirmed(
     for _ in range(RESTARTS):
         if result.status in NO_ESTIMATE or result.noise_scale <= NOISE:
             return result
-        start = _started(result, beside(result, generator))
+        start, values = None, beside(result, generator)
+        for share in NEARER:  # where the point beside the estimate is unphysical, a nearer one
+            point = result.values + share * (values - result.values)
+            with suppress(InputError):
+                start = result.system.with_values(dict(zip(result.names, point.tolist(), strict=True)))
+                break
         if start is None:
             return result
         settings = {"pooled": True, "engine": result.engine, "warm": False, "progress": progress}
@@ -79,15 +83,6 @@ def confirmed(
         further = kept_fit(kept, again.system, batch, options=options, **settings)[0]
         result = further if further.cost <= again.cost else again
     return replace(result, status="max_iterations")
-
-
-def _started(result: FitResult, values: np.ndarray) -> System | None:
-    """The system at a point beside an estimate, or nearer to it where that is unphysical; None where all are."""
-    for share in NEARER:
-        point = result.values + share * (values - result.values)
-        with suppress(InputError):
-            return result.system.with_values(dict(zip(result.names, point.tolist(), strict=True)))
-    return None
 
 
 def beside(result: FitResult, generator: np.random.Generator) -> np.ndarray:

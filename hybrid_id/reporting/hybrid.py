@@ -32,26 +32,26 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
         "physics_std_error": study.physics_error,
         "hybrid": study.hybrid,
         "hybrid_std_error": study.hybrid_error,
-        "unpriced_std_error": result.rungs[result.chosen].loose,
+        "unpriced_std_error": result.models[result.chosen].loose,
         "half_interval_beside_networks": study.room,
         "drift_sigma": study.drift,
     }
     of_role = ("where", "unit", "rms", "share", "variance_share", "overlap", "alike", "worth", "room")
     return {
         "validation_records": study.validation,
-        "chosen_price": result.rungs[result.chosen].price,
+        "price": result.price,
         "physics_alone": result.chosen == 0,
         "interrupted": result.interrupted,
         "parameters": {
             name: {head: values[k] for head, values in columns.items()} for k, name in enumerate(study.names)
         },
-        "ladder": [
-            {
-                "price": r.price, "train_loss": r.train, "validation_loss": r.validation, "status": r.status,
-                "gradients": r.iterations,
+        "models": {
+            name: {
+                "train_loss": model.train, "validation_loss": model.validation, "status": model.status,
+                "gradients": model.iterations,
             }
-            for r in result.rungs
-        ],
+            for name, model in zip(("physics", "hybrid"), result.models, strict=False)
+        },
         "networks": [
             {name: getattr(role, name) for name in of_role} | {"alike": dict(role.alike)} for role in study.roles
         ],
@@ -63,9 +63,9 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
 
 
 def hybrid_tables(study: HybridStudy, dataset: Dataset) -> RenderableType:
-    """Parameters, the ladder of prices, the networks and the errors, with the warnings in words."""
+    """Parameters, both models, the networks and the errors, with the warnings in words."""
     warnings = (Text(warning, style="yellow") for warning in study.warnings)
-    tables = drift_table(study), ladder_table(study), role_table(study.roles)
+    tables = drift_table(study), model_table(study), role_table(study.roles)
     return Group(*tables, error_table(study, dataset), *warnings)
 
 
@@ -97,17 +97,17 @@ def drift_table(study: HybridStudy, alone: Study | None = None) -> Table:
     return table(("parameter", "reliability, physics alone", *values, *judged), rows)
 
 
-def ladder_table(study: HybridStudy) -> Table:
-    """The prices, what was lost at each, and which one the validation records chose."""
+def model_table(study: HybridStudy) -> Table:
+    """Errors of the physics alone and with networks, and which of both the validation records chose."""
     rows = [
         (
-            "physics alone" if math.isinf(rung.price) else f"{rung.price:g}",
-            *(f"{math.sqrt(2.0 * loss):.3f}" for loss in (rung.train, rung.validation)),
-            str(rung.iterations), rung.status.replace("_", " "), "chosen" if k == study.result.chosen else "",
+            "with networks" if k else "physics alone",
+            *(f"{math.sqrt(2.0 * loss):.3f}" for loss in (model.train, model.validation)),
+            str(model.iterations), model.status.replace("_", " "), "chosen" if k == study.result.chosen else "",
         )
-        for k, rung in enumerate(study.result.rungs)
+        for k, model in enumerate(study.result.models)
     ]  # fmt: skip
-    return table(("price", "train error>", "typical validation error>", "gradients>", "ended", ""), rows)
+    return table(("model", "train error>", "typical validation error>", "gradients>", "ended", ""), rows)
 
 
 def role_table(roles: tuple[NetworkRole, ...]) -> Table:
@@ -176,7 +176,7 @@ def hybrid_pictures(study: HybridStudy) -> dict[str, np.ndarray]:
     return {name: pixels(figure) for name, figure in figures.items()}
 
 
-_LADDER = (
+_ERRORS = (
     "1 is as the weights say. All are errors of free runs from measured first states; the typical validation error is "
     "the geometric mean over ten parts of each record, for a run that has lost its record says little from there on. "
     "The errors further down are the RMS of whole free runs."
@@ -189,13 +189,13 @@ _RELIABLE = (
 
 def _lead(study: HybridStudy) -> str:
     """The outcome in plain words."""
-    rungs, chosen, warnings = study.result.rungs, study.result.chosen, study.warnings
+    models, chosen, warnings = study.result.models, study.result.chosen, study.warnings
     if not chosen:
         words = warnings[0] if warnings else "physics alone is kept"
         return f"{words[0].upper()}{words[1:]}."
-    before, after = (math.sqrt(2.0 * rungs[k].validation) for k in (0, chosen))
+    before, after = (math.sqrt(2.0 * models[k].validation) for k in (0, chosen))
     words = (
-        f"{count(len(study.roles), 'network')} beside the physics, at the price {rungs[chosen].price:g}: the "
+        f"{count(len(study.roles), 'network')} beside the physics, at the price {study.result.price:g}: the "
     )
     words += (
         f"typical error on validation records falls from {before:.3g} to {after:.3g} (1: as the noise says)."
@@ -236,13 +236,12 @@ def hybrid_page(
             "How far each parameter moved when the networks came in; grey: within three standard errors.",
         )
     else:
-        networks.add("What the networks of the lowest price have learnt; they are not kept.")
+        networks.add("What the networks have learnt; they are not kept.")
     networks.add(role_table(study.roles))
     for name, picture in pictures.items():
         if name.startswith("map_"):
             networks.figure(picture, "Output over speed and angle; dots: where the records have been.")
-    page.section("Ladder of prices").add(_LADDER, ladder_table(study))
-    page.section("Errors").add(error_table(study, dataset))
+    page.section("Errors").add(_ERRORS, model_table(study), error_table(study, dataset))
     role = "test" if dataset.test else "train"
     where = count(len(dataset.test or dataset.train), f"{role} record")
     page.section("Residuals").add(*residual_blocks(residuals, where, alone.outputs))

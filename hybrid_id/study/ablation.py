@@ -20,10 +20,9 @@ from hybrid_id import __version__
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, listed
 from hybrid_id.identification.adjoint import Snapshot
-from hybrid_id.identification.hybrid import fit_physics, train_hybrid
+from hybrid_id.identification.hybrid import HybridOptions, fit_physics, train_hybrid
 from hybrid_id.identification.keep import digest_of
 from hybrid_id.identification.networks import with_memory
-from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
@@ -364,7 +363,7 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
         return batch_of(task.dataset, system, records, task.signal_share)
 
     if arm.residual == BLACK_BOX:
-        options, system = replace(options, prices=(0.0,)), task.model(arm, cell.seed, batch(split.train))
+        options, system = replace(options, price=0.0), task.model(arm, cell.seed, batch(split.train))
     train, everything = batch(split.train), batch([record.name for record in task.dataset])
 
     def tested(
@@ -397,10 +396,13 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
         )  # fmt: skip
         if result.interrupted:
             raise KeyboardInterrupt
-        rungs = [tested(r.system, result.engine, r.price, r.status, r.errors.tolist()) for r in result.rungs]
+        rungs = [
+            tested(m.system, result.engine, result.price if k else math.inf, m.status, m.errors.tolist())
+            for k, m in enumerate(result.models)
+        ]
         chosen, best = result.chosen, result.system
         if arm.residual == BLACK_BOX:  # its first rung, a constant acceleration, is no arm of its own
-            rungs, chosen, best = rungs[-1:], 0, result.rungs[-1].system
+            rungs, chosen, best = rungs[-1:], 0, result.models[-1].system
     # a network alone that stands for a robot has no description that a model file could name
     model = describe_model(best) if best.tree is not None or best.name in SKELETON else {}
     gradients = max((step for step, _ in history.history.get("loss/train", [])), default=0)

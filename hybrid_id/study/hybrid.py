@@ -14,9 +14,10 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError, close_match, listed
 from hybrid_id.identification.adjoint import Writer
-from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_each, train_hybrid
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, Progress, physics_of, train_hybrid
+from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.networks import effects, networks_of, physical_names, span
-from hybrid_id.identification.training_loop import Progress
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
@@ -52,8 +53,7 @@ class HybridStudy:
         names, units: of the estimated parameters.
         physics, hybrid: their values without and with the networks, ``(n_f,)``.
         physics_error, hybrid_error: their standard errors, ``(n_f,)``.
-        roles: what each network of the chosen system does on the train records; of the lowest price where physics alone
-            is chosen.
+        roles: what each network does on the train records, also where physics alone is chosen.
         errors: RMS of the weighted output error by record, physics and hybrid; 1 is the noise floor.
         level: confidence of all intervals.
         pooled, own: RMS of the weighted residuals of physics alone on the train records, with one set of parameters for
@@ -82,7 +82,7 @@ class HybridStudy:
     @property
     def blur(self) -> np.ndarray:
         """Growth of each standard error, per unit of what the model misses, by the networks without a price."""
-        first, chosen = self.result.rungs[0], self.result.rungs[self.result.chosen]
+        first, chosen = self.result.models[0], self.result.models[self.result.chosen]
         return (chosen.plain / chosen.train**0.5) / np.maximum(first.plain / first.train**0.5, 1e-300)
 
     def against(self, name: str) -> list[str]:
@@ -103,12 +103,56 @@ class HybridStudy:
         is taken as one more standard error.
         """
         hidden = np.array([[role.room.get(name, 0.0) for name in self.names] for role in self.roles])
-        return 1.96 * np.hypot(self.result.rungs[self.result.chosen].loose, np.linalg.norm(hidden, axis=0))
+        return 1.96 * np.hypot(self.result.models[self.result.chosen].loose, np.linalg.norm(hidden, axis=0))
 
     @property
     def warnings(self) -> list[str]:
         """In words, where a network does the physics' work and the parameters may not mean what their names say."""
-        return _warnings(self)
+        result, found = self.result, list[str]()
+        if self.own < MET and self.pooled > MISSED:
+            found.append(
+                f"with parameters of its own each train record is met to {self.own:.2g} times the noise, with the same "
+                f"for all to {self.pooled:.2g}: the parameters differ from record to record, which no network that all "
+                "share can say, and what one learns here may be a makeshift; 'hybrid-id identify' says how far they "
+                "differ"
+            )
+        if result.interrupted:
+            found.append("stopped by Ctrl-C before the training was done: whether a network helps is open")
+        if len(result.models) == 1:
+            return found
+        if result.chosen == 0:
+            words = (
+                "the validation records ask for no network: physics alone is as good, so it is what is kept"
+            )
+            return [words, *found]
+        values = dict(zip(self.names, self.hybrid, strict=True))
+        for role in self.roles:
+            if role.share > SMALL and role.overlap > OVERLAP:
+                names = [name for name, cosine in role.alike if cosine > OVERLAP] or [role.alike[0][0]]
+                parts = []
+                for name in names:
+                    worth, value = role.worth[name], values[name]
+                    share = f"{100 * worth / value:+.0f} %" if value else "from 0"
+                    parts.append(f"{name} by {worth:+.2g} ({share})")
+                found.append(
+                    f"the network at {role.where} does work that the physics could do: {100 * role.overlap:.0f} % of "
+                    f"the accelerations it causes look like a change of the parameters, of {', '.join(parts)}; these "
+                    "may be wrong by as much and more, do not read them as physical"
+                )
+        for name, blur, room, value in zip(self.names, self.blur, self.room, self.hybrid, strict=True):
+            if blur > BLUR:
+                found.append(
+                    f"the network could do the work of {name}, which the price alone keeps near its value without a "
+                    "network: what biased it there biases it still. If as much of the missing effect lies in it as in "
+                    f"the network, its 95 % interval is {value:.3g} ± {room:.2g}"
+                )
+        for name, drift in zip(self.names, self.drift, strict=True):
+            if math.isfinite(drift) and abs(drift) > DRIFT:
+                found.append(
+                    f"{name} moved by {drift:+.1f} standard errors when the networks came in: without them it made up "
+                    "for what the model lacks, or with them it lost a part of its meaning"
+                )
+        return found
 
 
 def physics_alone(dataset: Dataset, study: HybridStudy, *, signal_share: float = SIGNAL_SHARE) -> Study:
@@ -142,7 +186,8 @@ def hybridise(
         system: model with at least one residual network.
         engine: solver and kind of gradient.
         options: settings of the training.
-        validation: names of the records that choose price and end (default: see :func:`split`).
+        validation: names of the records that say when to end and whether to keep the networks (default: see
+            :func:`split`).
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         level: confidence of the intervals.
@@ -159,15 +204,21 @@ def hybridise(
         checkpoint=checkpoint, resume=resume, progress=progress, spread=correlated_errors,
     )  # fmt: skip
     system, batch = copy.deepcopy(system).to("cpu"), batch.to("cpu")  # what follows is done once
-    for trained in (result.physics, *result.rungs):
+    for trained in (result.physics, *result.models):
         trained.system.to("cpu")
-    first, chosen = result.rungs[0], result.rungs[result.chosen]
+    first, chosen = result.models[0], result.models[result.chosen]
     info = [i for i in first.system.table if i.spec.estimate]
     values = [np.array([s.parameter(i.name).spec.value for i in info]) for s in (first.system, chosen.system)]
-    roles = network_roles(result.rungs[result.chosen or -1].system, result.engine, batch)
+    roles = network_roles(result.models[-1].system, result.engine, batch)
     everything = batch_of(dataset, system, dataset.records, signal_share)
     misses = [weighted_errors(s, result.engine, everything) for s in (first.system, chosen.system)]
-    sets = fit_each(system, batch, result.physics, options)
+    # how far the records are met with parameters of their own, from those of the fit with one set for all
+    physics, smooth = (
+        result.physics,
+        Engine("smooth", result.physics.engine.substeps, result.physics.engine.width),
+    )
+    alone = physics_of(system, batch)[1]
+    sets = fit(physics.system, alone, engine=smooth, options=Options(loss=options.loss), warm=False)
     residuals = np.concatenate([row.reshape(-1) for one in sets for row in one.residual])
     own = float(np.sqrt(np.square(residuals).sum() / sum(one.n_samples for one in sets)))
     return HybridStudy(
@@ -219,62 +270,6 @@ def split(
             "training needs one to train on and another one to validate on."
         )
     return tuple(train), tuple(held)
-
-
-def _share(change: float, value: float) -> str:
-    return f"{100 * change / value:+.0f} %" if value else "from 0"
-
-
-def _warnings(study: HybridStudy) -> list[str]:
-    """In words, where a network does the physics' work."""
-    found = []
-    if study.own < MET and study.pooled > MISSED:
-        found.append(
-            f"with parameters of its own each train record is met to {study.own:.2g} times the noise, with the same "
-            f"for all to {study.pooled:.2g}: the parameters differ from record to record, which no network that all "
-            "share can say, and what one learns here may be a makeshift; 'hybrid-id identify' says how far they differ"
-        )
-    if study.result.interrupted:
-        done = len(study.result.rungs) - 1
-        found.append(
-            "stopped by Ctrl-C before the first price was done: whether a network helps is open"
-            if done == 0
-            else f"stopped by Ctrl-C after {done} of the prices: the others have not been tried"
-        )
-    if len(study.result.rungs) == 1:
-        return found
-    if study.result.chosen == 0:
-        return [
-            "the validation records ask for no network: physics alone is as good, so it is what is kept",
-            *found,
-        ]
-    for role in study.roles:
-        if role.share > SMALL and role.overlap > OVERLAP:
-            names = [name for name, cosine in role.alike if cosine > OVERLAP] or [role.alike[0][0]]
-            values = dict(zip(study.names, study.hybrid, strict=True))
-            parts = (
-                f"{name} by {role.worth[name]:+.2g} ({_share(role.worth[name], values[name])})"
-                for name in names
-            )
-            found.append(
-                f"the network at {role.where} does work that the physics could do: {100 * role.overlap:.0f} % of the "
-                f"accelerations it causes look like a change of the parameters, of {', '.join(parts)}; these may be "
-                "wrong by as much and more, do not read them as physical"
-            )
-    for name, blur, room, value in zip(study.names, study.blur, study.room, study.hybrid, strict=True):
-        if blur > BLUR:
-            found.append(
-                f"the network could do the work of {name}, which the price alone keeps near its value without a "
-                "network: what biased it there biases it still. If as much of the missing effect lies in it as in the "
-                f"network, its 95 % interval is {value:.3g} ± {room:.2g}"
-            )
-    for name, drift in zip(study.names, study.drift, strict=True):
-        if math.isfinite(drift) and abs(drift) > DRIFT:
-            found.append(
-                f"{name} moved by {drift:+.1f} standard errors when the networks came in: without them it made up for "
-                "what the model lacks, or with them it lost a part of its meaning"
-            )
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,6 +336,9 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
         length, lengths = float(caused.norm()), physical.norm(dim=0)
         cosines = (physical.T @ caused / (lengths * length).clamp_min(1e-300)).abs()
         alike = sorted(zip(free, cosines.tolist(), strict=True), key=lambda pair: -pair[1])[:3]
+        # the least change of the parameters that comes nearest to what the network causes
+        size = lengths.clamp_min(1e-300)
+        nearest = (torch.linalg.pinv(physical / size, rtol=1e-6) @ caused / size).tolist()
         speed, angle, values_at, seen = _map(system, place, networks, part, x, u, p)
         found.append(
             NetworkRole(
@@ -349,7 +347,7 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
                 _ratio(output.square().mean().sqrt(), reference.square().mean().sqrt()),
                 _ratio(output.var(), reference.var()),
                 float((basis.T @ caused).norm()) / length if length > 0 else 0.0,
-                tuple(alike), dict(zip(free, _nearest(physical, caused), strict=True)),
+                tuple(alike), dict(zip(free, nearest, strict=True)),
                 dict(zip(free, (length / lengths.clamp_min(1e-300)).tolist(), strict=True)),
                 speed, angle, values_at, seen,
             )
@@ -359,12 +357,6 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
 
 def _ratio(part: Tensor, whole: Tensor) -> float:
     return float(part / whole) if float(whole) > 0 else 0.0
-
-
-def _nearest(columns: Tensor, target: Tensor) -> list[float]:
-    """Coefficients of the columns ``(N, n)`` that come nearest to the target; the least ones where several do."""
-    size = columns.norm(dim=0).clamp_min(1e-300)
-    return (torch.linalg.pinv(columns / size, rtol=1e-6) @ target / size).tolist()
 
 
 @torch.no_grad()
@@ -404,7 +396,7 @@ def hybrid_residuals(
 ) -> dict[str, tuple[ResidualTest, ...]]:
     """What physics alone leaves (``physics``), and the chosen system where that is another one (``hybrid``)."""
     result = study.result
-    models = {"physics": result.rungs[0].system} | ({"hybrid": result.system} if result.chosen else {})
+    models = {"physics": result.models[0].system} | ({"hybrid": result.system} if result.chosen else {})
     return {
         name: residual_tests(dataset, one, result.engine, signal_share=signal_share)
         for name, one in models.items()

@@ -16,12 +16,11 @@ from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import Progress, fit, fit_records, kept_fit
-from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
+from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon, settled
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.restarts import confirmed
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.settled import settled
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for

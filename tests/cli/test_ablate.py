@@ -20,7 +20,7 @@ from hybrid_id.systems.model_file import describe_model
 
 STUDY = """
 dataset: {data}
-hybrid: {{networks: [{{place: joint1/motor, inputs: [speed], hidden: [4]}}], prices: [1.0, 0.0]}}
+hybrid: {{networks: [{{place: joint1/motor, inputs: [speed], hidden: [4]}}], price: 1.0}}
 ablation: {{residual: [static, black_box], physics: [[F_v]], seeds: 3, out_of_range: [run_2]}}
 """
 ERRORS = {"none": 5.0, "static": 1.5, "black box": 20.0}
@@ -66,7 +66,7 @@ class Cells:
         error = ERRORS[cell.arm.residual] * (1.0 + 0.02 * cell.seed) * (2.0 if cell.arm.without else 1.0)
         rungs = [self.rung(task, math.inf, error)]
         if cell.arm.hybrid:
-            rungs = [self.rung(task, math.inf, 5.0)] + [self.rung(task, price, error) for price in (1.0, 0.0)]
+            rungs = [self.rung(task, math.inf, 5.0), self.rung(task, 1.0, error)]
         history = {} if cell.arm.residual == NONE else {"loss/train": [(1, 3.0), (2, 1.0)]}
         model = describe_model(task.model(cell.arm, cell.seed))
         return CellResult(cell, tuple(rungs), min(1, len(rungs) - 1), 2, 1.0, history, model)
@@ -95,7 +95,7 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     result = json.loads((out / "ablation.json").read_text())
     assert result["answer"] == "hybrid" and result["program"].startswith("hybrid_id ")
     assert [arm["seeds"] for arm in result["arms"]] == [[0, 1, 2]] * ARMS
-    assert len(result["ladder"]) == 2 * 2 and result["failed"] == {}
+    assert len(result["ladder"]) == 2 and result["failed"] == {}
     assert result["arms"][1]["weighted_error"]["test"] == pytest.approx([1.5, 1.53, 1.56])
     page = (out / "report.html").read_text()
     assert (
@@ -160,8 +160,7 @@ FAULTS = {
     "no such place": ("seeds: 3", "place: [joint1/load, [joint1/frictoin]]", ("'ablation.place[1]'", "did you mean")),
     "place of the first network": ("place: joint1", "place: joint2", ("'hybrid.networks[0].place'", "did you mean")),
     "no such input": ("[speed]", "[sped]", ("'hybrid.networks[0].inputs'", "'sped' (did you mean 'speed'?)")),
-    "long windows": ("prices:", "windows: [[2.0, 1]], prices:", ("key 'hybrid.windows': windows of 2 s are too long",)),
-    "rising prices": ("seeds: 3", "price: [0.1, 1.0]", ("key 'ablation.price'", "0.1, 1.0", "falling")),
+    "long windows": ("price:", "windows: [[2.0, 1]], price:", ("key 'hybrid.windows': windows of 2 s are too long",)),
     "too few records": ("[run_2]", "[run_2, run_1, run_0]", ("too few records",)),
 }  # fmt: skip
 
@@ -204,9 +203,7 @@ def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp
 
 
 def test_what_the_records_are_too_short_for_is_said(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
-    text = plain.read_text().replace(
-        "prices: [1.0, 0.0]", "prices: [1.0, 0.0], windows: [[0.1, 4], [0.4, 2]]"
-    )
+    text = plain.read_text().replace("price: 1.0", "price: 1.0, windows: [[0.1, 4], [0.4, 2]]")
     plain.write_text(text.replace("seeds: 3", "seeds: 3, horizon: 0.5"))
     shown = run("ablate", plain, "--out", tmp_path / "out")
     assert shown.code == 0 and shown.err.count("windows of 0.4 s ('hybrid.windows')") == 1

@@ -163,7 +163,7 @@ def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -
     text = (
         f"dataset: {arm}\nmodel: {arm / 'model.yaml'}\n"
         "training: {max_iterations: 1, windows: [[0.2, 8]], width: 0.5, fine: 2}\n"
-        "hybrid: {prices: [0.1], windows: [[0.2, 8]], max_iterations: 1, patience: 1}\n"
+        "hybrid: {price: 0.1, windows: [[0.2, 8]], max_iterations: 1, patience: 1}\n"
         "ablation:\n  residual: [static, black_box]\n  place: [['joint 1/x/motor', tip/motor]]\n  reads: [own, all]\n"
         "  physics: [[tip/motor_friction/coulomb_friction]]\n  width: [2]\n  black_box_width: 2\n"
     )
@@ -206,7 +206,7 @@ def test_an_arm_is_trained_with_a_network_at_a_joint_by_its_name(run, arm: Path,
         "training: {max_iterations: 1, windows: [], width: 0.5, fine: 2}\n"
         "hybrid:\n"
         "  networks: [{place: 'joint 1/x/motor_friction', inputs: [speed, angle3], hidden: [2]}]\n"
-        "  prices: [0.1]\n  windows: []\n  max_iterations: 1\n  patience: 1\n"
+        "  price: 0.1\n  windows: []\n  max_iterations: 1\n  patience: 1\n"
         "output: {folder: out, tensorboard: false}\n"
     )
     done = run("train", study)

@@ -21,7 +21,7 @@ dataset: {data}
 training: {{width: 2.0, fine: 4}}
 hybrid:
   networks: [{{place: joint1/motor, inputs: [speed, sin 3, cos 3], hidden: [4]}}]
-  prices: [1.0]
+  price: 1.0
   windows: []
   max_iterations: 5
 """
@@ -61,7 +61,7 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
         and 0.0 <= network["overlap"] <= 1.0
     )
     assert set(result["parameters"]) == {"P_m2", "F_c", "F_v", "J"}
-    assert [rung["price"] for rung in result["ladder"]] == [None, 1.0]
+    assert list(result["models"]) == ["physics", "hybrid"] and result["price"] == 1.0
     assert any("could do the work of P_m2" in warning for warning in result["warnings"])  # it reads the speed
     assert not any("work of J" in warning for warning in result["warnings"])
     back_emf = result["parameters"]["P_m2"]
@@ -74,7 +74,7 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
         and not load_model(out / "physics.yaml").networks
     )
     page = (out / "report.html").read_text()
-    assert page.count("data:image/png") == 2 == page.count('class="live"') and "Ladder of prices" in page
+    assert page.count("data:image/png") == 2 == page.count('class="live"')
     assert all(
         words in page
         for words in ("reliability, physics alone", "upper bound", "a network could do its work")
@@ -148,7 +148,7 @@ def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> Non
             "networks: [{place: joint1/motor}, ",
             "key 'hybrid.networks': a place takes one network",
         ),
-        ("prices: [1.0]", "prices: [0.1, 1.0]", "'hybrid.prices': these prices are no ladder"),
+        ("price: 1.0", "price: -1.0", "hybrid.price"),
         (
             "max_iterations: 5",
             "validation: [run_1, run_1]",

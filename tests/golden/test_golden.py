@@ -254,7 +254,7 @@ def without_cogging(folder: Path, **sections: Any) -> Path:
 
 HYBRID = {
     "networks": [{"place": "joint1/motor", "inputs": ["sin 3", "cos 3"], "hidden": [4]}],
-    "windows": [], "prices": [1.0], "max_iterations": 8,
+    "windows": [], "price": 1.0, "max_iterations": 8,
 }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from drives import make_record, make_records, multisine, rigid_drive
 from torch import nn
 
 from hybrid_id import __version__
+from hybrid_id.components import ResidualNetwork
 from hybrid_id.components.base import LoadTorque
 from hybrid_id.errors import InputError
 from hybrid_id.identification import adjoint, costate
@@ -248,51 +249,33 @@ def test_writer_is_told_of_every_gradient(batch: Batch) -> None:
 # --- weights beyond the table --------------------------------------------------------------------------------------
 
 
-class SmallNet(LoadTorque):
-    """Torque at the link from its speed: zero at the start."""
-
-    kind = "test_adjoint_net"
-
-    def __init__(self) -> None:
-        super().__init__()
-        torch.manual_seed(0)
-        self.first, self.last = nn.Linear(1, 4).double(), nn.Linear(4, 1).double()
-        nn.init.zeros_(self.last.weight)
-        nn.init.zeros_(self.last.bias)
-
-    def torque(self, p, angle, speed):
-        return 2.0 * self.last(torch.tanh(self.first(speed[:, None])))[:, 0]
-
-
 def test_weights_of_a_network_train_beside_the_parameters(batch: Batch) -> None:
-    physics = respecified(
-        TRUTH, "F_v", 0.0, estimate=False
-    )  # viscous friction is missing; the network can learn it
-    hybrid = physics.with_component("joint1/load", SmallNet())
-    before = hybrid.components["joint1/load/test_adjoint_net"].last.weight.detach().clone()
-    options = TrainOptions(windows=(), max_iterations=20)
+    # viscous friction is missing; the network can learn it
+    physics = respecified(TRUTH, "F_v", 0.0, estimate=False)
+    place, network = "joint1/load", ResidualNetwork(hidden=(4,), output_scale=2.0)
+    hybrid, options = physics.with_component(place, network), TrainOptions(windows=(), max_iterations=20)
     (plain,) = train(physics, batch, pooled=True, options=options)
     (found,) = train(hybrid, batch, pooled=True, options=options)
     assert found.cost < 0.9 * plain.cost
-    assert torch.equal(hybrid.components["joint1/load/test_adjoint_net"].last.weight, before)
+    (before,), (after,) = (system.networks.values() for system in (hybrid, found.system))
+    assert all(not weight.any() for weight in before.last_weights().values())
     speed = torch.linspace(-1.0, 1.0, 3, dtype=torch.float64)
-    torque = found.system.components["joint1/load/test_adjoint_net"].torque(None, speed, speed)
+    torque = after.output(after.view(), [speed], [])
     assert torque[2] > 0 > torque[0]
     with pytest.raises(InputError, match="one record, or pooled"):
         train(hybrid, batch)
 
 
-def test_weights_resume_to_the_same_numbers(tmp_path: Path, batch: Batch) -> None:
-    hybrid, saved = TRUTH.with_component("joint1/load", SmallNet()), tmp_path / "checkpoint.pt"
-    options = TrainOptions(windows=(), max_iterations=6)
-    (straight,) = train(hybrid, batch, pooled=True, options=options)
-    train(
-        hybrid, batch, pooled=True, options=options, checkpoint=saved, progress=lambda _, k, cost, run: k >= 3
-    )
-    (resumed,) = train(hybrid, batch, pooled=True, options=options, resume=saved)
-    assert resumed.cost == straight.cost
-    for a, b in zip(resumed.system.parameters(), straight.system.parameters(), strict=True):
-        assert torch.equal(a, b)
+def test_weights_of_another_component_are_refused(batch: Batch) -> None:
+    class Own(LoadTorque):
+        kind = "test_adjoint_net"
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.last = nn.Linear(1, 1).double()
+
+    with pytest.raises(InputError, match="residual networks only"):
+        train(TRUTH.with_component("joint1/load", Own()), batch, pooled=True)
 
 
 def test_gradient_by_backprop_ends_at_the_same_place(batch: Batch, trained: list[FitResult]) -> None:

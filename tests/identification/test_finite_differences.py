@@ -14,7 +14,6 @@ from hybrid_id.identification.finite_differences import (
     DAMPINGS,
     Cost,
     Rollouts,
-    _broyden,
     finite_difference_fit,
     slopes_at,
 )
@@ -292,21 +291,6 @@ def test_first_states_follow_the_parameters() -> None:
         least = np.linalg.lstsq(starts, -by_values @ step, rcond=None)[0]
         np.testing.assert_allclose(shift[:, row], least, atol=1e-10)
         np.testing.assert_allclose(step @ along[row], (by_values @ step + starts @ least)[:40], atol=1e-10)
-
-
-def test_updated_slopes_tell_the_step_that_was_taken() -> None:
-    system, rng = rigid_drive(), np.random.default_rng(1)
-    batch = measured(system, DRY)
-    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
-    slopes = rng.standard_normal((batch.rows, cost.n_f + len(cost.states), 40))
-    point, residual = rng.standard_normal(len(cost.mean)), rng.standard_normal((batch.rows, 40))
-    step, change = rng.standard_normal(len(point)), rng.standard_normal((batch.rows, 40))
-    step[0] = 0.0
-    kept = slopes[:, 0].copy()
-    _broyden(slopes, step[cost.places], change)
-    promised = cost.promised(point + step, point, residual, slopes)
-    assert promised == pytest.approx(float(cost.costs((point + step)[None], residual + change)[0]))
-    np.testing.assert_array_equal(slopes[:, 0], kept)
 
 
 def test_a_step_is_that_of_all_rows_together() -> None:

@@ -94,9 +94,3 @@ def test_a_restart_that_would_be_unphysical_begins_nearer(
     assert confirmed(stopped, batch).cost <= stopped.cost
     limit = -1.0
     assert confirmed(stopped, batch) is stopped  # no restart is possible
-
-
-def test_a_fit_that_was_stopped_is_not_called_converged(batch: Batch, start: System) -> None:
-    (stopped,) = fit(start, batch, engine=ENGINE, pooled=True, warm=False, options=Options(max_iterations=3))
-    assert stopped.status == "max_iterations" and not stopped.ok
-    assert "before convergence" in stopped.message

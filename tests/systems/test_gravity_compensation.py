@@ -13,8 +13,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.own_file import mujoco_model
 from hybrid_id.export.replay import agreement
-from hybrid_id.identification.checkpoint import fingerprint
-from hybrid_id.identification.keep import digest_of_tree
+from hybrid_id.identification.keep import digest_of_tree, fingerprint
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
