@@ -141,6 +141,7 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
     from hybrid_id.study.ablation import Cell, Task, arms, records_beyond, split_records, without_parts
 
     wish, how = config.ablation or Ablation(), config.hybrid or Hybrid()
+    network = how.networks[0] if how.networks else Hybrid().networks[0]
     if system.learned:
         raise InputError(
             f"model {config.model} has a network ({listed(system.learned)}); give one without, to which the ablation "

@@ -108,7 +108,7 @@ def test_faults_of_a_split_are_told() -> None:
 
 
 def task_of(system: System, data: Dataset | None = None, **settings) -> Task:
-    options = HybridOptions(prices=(1.0,), windows=(), max_iterations=2)
+    options = HybridOptions(windows=(), max_iterations=2)
     given = {
         "engine": OdeEngine(fine=4, width=2.0),
         "options": options,
