@@ -20,7 +20,7 @@ from hybrid_id.reporting.tables import count, records_table, table
 from hybrid_id.study.ablation import Arm
 from hybrid_id.study.ablation_result import HYBRID, OPEN, SETS, Ablation, Scores, answer, signed, verdict
 
-PICTURES = ("errors", "change", "prices")
+PICTURES = ("errors", "change")
 """Names of the pictures that an ablation may have."""
 _STYLE = {HYBRID: "green", OPEN: "yellow"}
 _TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}
@@ -40,7 +40,6 @@ def ablation_result(result: Ablation) -> dict[str, Any]:
     def plain(scores: Scores) -> dict[str, Any]:
         return {
             "arm": scores.arm.name,
-            "price": "chosen" if scores.price is None else scores.price,
             "seeds": scores.seeds,
             "weighted_error": {name: scores.errors[name] for name in SETS},
             "diverged": {name: scores.diverged(name) for name in SETS},
@@ -55,7 +54,6 @@ def ablation_result(result: Ablation) -> dict[str, Any]:
         "verdict": verdict(result),
         "level": result.level,
         "arms": [plain(scores) for scores in result.scores],
-        "ladder": [plain(scores) for scores in result.ladder],
         "parameters": {
             arm.name: {
                 name: {"mean": v.mean[k], "std": v.std[k], "percent": v.percent[k]}
@@ -69,10 +67,9 @@ def ablation_result(result: Ablation) -> dict[str, Any]:
 
 
 def ablation_tables(result: Ablation) -> RenderableType:
-    """The answer, the arms, what the price does, the parameters, and the cells that broke."""
+    """The answer, the arms, what their networks do, the parameters, and the cells that broke."""
     first, *others = verdict(result)
     parts = [Text(first, style=_STYLE.get(answer(result), "")), *map(Text, others), arms_table(result)]
-    parts += [ladder_table(result)] if result.ladder else []
     return Group(*parts, parameters_table(result), *failures(result))
 
 
@@ -82,34 +79,20 @@ def failures(result: Ablation) -> list[Text]:
 
 
 def arms_table(result: Ablation) -> Table:
-    """One row an arm: errors, and their paired change against physics only."""
+    """One row an arm: errors, their paired change against physics only, and what a network does beside physics."""
     heads = (
         "arm", "validation>", "test>", "change of\ntest [%]>", "short\nhorizon>", "out of\nrange>",
-        "change out of\nrange [%]>", "n>",
+        "change out of\nrange [%]>", "share of\ntorque>", "overlap>", "largest\ndrift [σ]>", "n>",
     )  # fmt: skip
     rows = [
         (
             scores.arm.label, _error(scores, "validation"), _error(scores, "test"), _change(scores, "test"),
-            _error(scores, "short"), _error(scores, "beyond"), _change(scores, "beyond"), str(len(scores.seeds)),
+            _error(scores, "short"), _error(scores, "beyond"), _change(scores, "beyond"),
+            *(("", "", "") if not scores.arm.hybrid else
+              (f"{100 * scores.share:.1f} %", f"{scores.overlap:.2f}", f"{scores.drift:.1f}")),
+            str(len(scores.seeds)),
         )
         for scores in result.scores
-    ]  # fmt: skip
-    return table(heads, rows)
-
-
-def ladder_table(result: Ablation) -> Table:
-    """What the price of the network's output buys: error, share, overlap and drift of the parameters."""
-    heads = (
-        "arm", "price>", "validation>", "test>", "change of\ntest [%]>", "out of\nrange>", "share of\ntorque>",
-        "overlap>", "largest\ndrift [σ]>",
-    )  # fmt: skip
-    rows = [
-        (
-            scores.arm.label, f"{scores.price:g}", _error(scores, "validation"), _error(scores, "test"),
-            _change(scores, "test"), _error(scores, "beyond"), f"{100 * scores.share:.1f} %", f"{scores.overlap:.2f}",
-            f"{scores.drift:.1f}",
-        )
-        for scores in result.ladder
     ]  # fmt: skip
     return table(heads, rows)
 
@@ -150,8 +133,6 @@ def ablation_pictures(result: Ablation) -> dict[str, np.ndarray]:
     others = result.scores[1:]
     if shown := [n for n in ("test", "beyond") if any(math.isfinite(s.change[n].mean) for s in others)]:
         figures["change"] = change_figure(result, shown)
-    if result.ladder:
-        figures["prices"] = prices_figure(result)
     return {name: pixels(figure) for name, figure in figures.items()}
 
 
@@ -204,31 +185,6 @@ def change_figure(result: Ablation, shown: Sequence[str]) -> Figure:
     return figure
 
 
-@journal()
-def prices_figure(result: Ablation) -> Figure:
-    """Test error and drift of the parameters over the price of the network's output."""
-    arms = list(dict.fromkeys(s.arm for s in result.ladder))
-    prices = sorted({s.price for s in result.ladder if s.price is not None}, reverse=True)
-    figure = new_figure(2.2 + 0.16 * len(arms))
-    left, right = figure.subplots(1, 2)
-    for k, arm in enumerate(arms):
-        of_arm = [s for s in result.ladder if s.arm == arm]
-        at = [prices.index(s.price) for s in of_arm if s.price is not None]
-        style: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)], "marker": "o", "ms": 3.5}
-        style["label"] = arm.label.replace("\n", ", ")
-        left.plot(at, [s.error("test") for s in of_arm], **style)
-        right.plot(at, [s.drift for s in of_arm], **style)
-    left.axhline(result.physics.error("test"), color=GREY, ls="--", lw=0.8, label="physics only")
-    left.set(yscale="log", ylabel="test error (1: the noise)")
-    plain_logarithm(left.yaxis)
-    right.set(ylabel="largest drift [standard errors]")
-    for axes in (left, right):
-        axes.set_xticks(range(len(prices)), [f"{price:g}" for price in prices])
-        axes.set_xlabel("price of the network's output")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=1)
-    return figure
-
-
 def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.ndarray]) -> Page:
     """The page.
 
@@ -255,12 +211,6 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.
     if "errors" in pictures:
         words = "Every repeat of every arm; the bar is the mean, the dashed line the noise."
         section.figure(pictures["errors"], words)
-    if result.ladder:
-        page.section("Price of the network's output").add(
-            "A dear network adds only what the physics cannot say; a free one may take the physics' work, and the "
-            "parameters drift. Each price starts from the dearer one above it.",
-            ladder_table(result),
-        ).figure(pictures["prices"], "Test error and drift of the parameters by price.")
     page.section("Parameters over the repeats").add(parameters_table(result))
     splits = [
         (str(seed), *(", ".join(names) for names in (s.train, s.validation, s.test, s.beyond)))

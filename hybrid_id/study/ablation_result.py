@@ -21,11 +21,10 @@ PHYSICS, HYBRID, OPEN = "physics only", "hybrid", "open"
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One arm at one price over all repeats.
+    """One arm over all repeats.
 
     Attributes:
         arm: which one.
-        price: of the network's output; None for the price that the validation records choose in each repeat.
         seeds: repeats, ``(n,)``.
         errors: weighted RMS error of each repeat by set of records, ``(n,)`` each; 1 is the noise floor, inf diverged.
         change: paired change of ``log(error)`` against physics only on the same records, by set of records.
@@ -34,7 +33,6 @@ class Scores:
     """
 
     arm: Arm
-    price: float | None
     seeds: tuple[int, ...]
     errors: Mapping[str, np.ndarray]
     change: Mapping[str, PairedDifference]
@@ -63,8 +61,7 @@ class Ablation:
     """Result of an ablation.
 
     Attributes:
-        scores: of each arm at its chosen price, physics only first.
-        ladder: of each arm with a network beside physics at each price.
+        scores: of each arm, physics only first.
         splits: records by repeat.
         parameters: values over the repeats, of physics only and of the best hybrid.
         level: of the intervals.
@@ -73,7 +70,6 @@ class Ablation:
     """
 
     scores: tuple[Scores, ...]
-    ladder: tuple[Scores, ...]
     splits: Mapping[int, Split]
     parameters: Mapping[Arm, Variation]
     level: float = 0.95
@@ -127,15 +123,8 @@ def gather(
             [r.error(getattr(splits[s], records), short=name == "short") for s, r in rungs.items()]
         )
 
-    def scores(arm: Arm, price: float | None = None) -> Scores | None:
-        rungs: dict[int, Rung] = {}
-        for seed in splits:
-            ladder = cells[arm, seed].rungs if (arm, seed) in cells else ()
-            for number, rung in enumerate(ladder):
-                if rung.price == price or (price is None and number == cells[arm, seed].chosen):
-                    rungs[seed] = rung
-        if not rungs:
-            return None
+    def scores(arm: Arm) -> Scores:
+        rungs = {seed: cells[arm, seed].best for seed in splits if (arm, seed) in cells}
         pairs = {seed: rung for seed, rung in rungs.items() if seed in base}
         overlap = float(np.mean([splits[seed].overlap for seed in rungs]))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -153,17 +142,13 @@ def gather(
                     drift = np.fmax(drift, abs(value - physics.values[name]) / error)
             drifts.append(float(drift))
         return Scores(
-            arm, price, tuple(rungs), {name: errors(rungs, name) for name in SETS},
+            arm, tuple(rungs), {name: errors(rungs, name) for name in SETS},
             {name: paired_difference(*both, overlap=overlap, level=level) for name, both in logs.items()},
             known_mean([r.share for r in beside.values()]), known_mean([r.overlap for r in beside.values()]),
             known_mean(drifts),
         )  # fmt: skip
 
-    chosen, ladder = [s for arm in arms if (s := scores(arm)) is not None], []
-    for arm in (arm for arm in arms if arm.hybrid):
-        prices = {rung.price for (of, _), r in cells.items() if of == arm for rung in r.rungs} - {math.inf}
-        ladder += [s for price in sorted(prices, reverse=True) if (s := scores(arm, price)) is not None]
-    ablation = Ablation(tuple(chosen), tuple(ladder), splits, {}, level, worth, failed)
+    ablation = Ablation(tuple(map(scores, arms)), splits, {}, level, worth, failed)
     parameters = {}
     for arm in (Arm(), *([] if ablation.best is None else [ablation.best.arm])):
         sets = [cells[arm, seed].best.values for seed in splits if (arm, seed) in cells]

@@ -95,12 +95,10 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     result = json.loads((out / "ablation.json").read_text())
     assert result["answer"] == "hybrid" and result["program"].startswith("hybrid_id ")
     assert [arm["seeds"] for arm in result["arms"]] == [[0, 1, 2]] * ARMS
-    assert len(result["ladder"]) == 2 and result["failed"] == {}
+    assert result["failed"] == {}
     assert result["arms"][1]["weighted_error"]["test"] == pytest.approx([1.5, 1.53, 1.56])
     page = (out / "report.html").read_text()
-    assert (
-        page.count("data:image/png") == 3 == page.count('class="live"') and "Physics only or hybrid?" in page
-    )
+    assert page.count("data:image/png") == 2 and "Physics only or hybrid?" in page
     assert len(list((out / "cells").iterdir())) == ARMS * SEEDS == len(list((out / "tensorboard").iterdir()))
     for kept in (out / "cells").glob("*/cell.json"):
         assert json.loads(kept.read_text())["program"] == f"hybrid_id {__version__}"

@@ -14,9 +14,8 @@ from servo_arm import described
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.identification.checkpoint import fingerprint
-from hybrid_id.identification.keep import digest_of
-from hybrid_id.identification.training_loop import HybridOptions
+from hybrid_id.identification.hybrid import HybridOptions
+from hybrid_id.identification.keep import digest_of, fingerprint
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
