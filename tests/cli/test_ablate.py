@@ -111,7 +111,7 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     again = run("ablate", out / "config.yaml", "--out", out, "--json")
     assert again.code == 0 and json.loads(again.out) == result
     assert len(cells.seen) == ARMS * SEEDS
-    look_at(out / "report.html", tmp_path, figures=3)
+    look_at(out / "report.html", tmp_path, figures=2)
 
 
 def test_a_run_that_is_stopped_goes_on_where_it_was(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
