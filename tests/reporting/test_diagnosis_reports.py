@@ -145,7 +145,7 @@ def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
     weak = half_explained(diagnosed[2], residual_after=(replace(PLACE, share=0.03),))
     assert "link side" in headline(weak) and "angle" not in headline(weak)
     one_side = half_explained(diagnosed[2], disturbances=(ACTS[0], Disturbance("joint2", "motor", 0.69, 1.0)))
-    assert "at joint 2" in headline(one_side) and "side" not in headline(one_side)
+    assert "at joint 2" in headline(one_side) and "link side" not in headline(one_side)
 
 
 def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> None:
