@@ -146,7 +146,7 @@ def _rows(scores: Sequence[Scores], shown: Sequence[str], words: str) -> tuple[F
     panels[0].set_yticks(range(len(scores)), [of_arm.arm.label for of_arm in scores])
     panels[0].set_ylim(len(scores) - 0.5, -0.5)
     figure.supxlabel(words, fontsize=8)
-    return figure, panels
+    return figure, list(panels)
 
 
 def _colour(scores: Scores) -> str:

@@ -270,7 +270,9 @@ class _Levels:
         """Robots far from the median in some parameter (n,) bool."""
         own, error = self.own(self.start()[1])
         apart, scatter = _around_median(own, error)
-        return (apart > FAR * np.maximum(scatter, error)).any(1)  # nothing is far where nothing is known
+        return np.asarray(
+            (apart > FAR * np.maximum(scatter, error)).any(1)
+        )  # nothing is far where nothing is known
 
     def around_mean(self, t: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, ...]:
         """Of each robot with the fleet's spread: what it says of the mean.

@@ -109,8 +109,9 @@ def fit_robot(task: tuple[System, Horizon | None], dataset: Dataset) -> RobotFit
     used = [fit for fit in fits if fit.status != "diverged"]
     if not used:
         raise InputError("every fit diverged; check units, signs and start values")
-    precision, covariances = np.diag(used[0].prior_precision), []
+    precision, hessians, covariances = np.diag(used[0].prior_precision), [], []
     for fit in used:
+        hessians.append(sum(np.einsum("tyi,tyj->ij", jacobian, jacobian) for jacobian in fit.jacobian))
         robust = autocorrelation_robust(*fit.of_records(), prior_precision=fit.prior_precision)
         covariances.append(robust.matrix - robust.inverse_hessian @ precision @ robust.inverse_hessian)
     if not np.isfinite(covariances).all():
@@ -120,8 +121,8 @@ def fit_robot(task: tuple[System, Horizon | None], dataset: Dataset) -> RobotFit
         dataset.name,
         [fit.records[0] for fit in used],
         [fit.values.tolist() for fit in used],
-        [sum(np.einsum("tyi,tyj->ij", j, j) for j in fit.jacobian).tolist() for fit in used],
-        [matrix.tolist() for matrix in covariances],
+        np.array(hessians).tolist(),
+        np.array(covariances).tolist(),
         float(np.sqrt(np.average([fit.noise_scale**2 for fit in used], weights=samples))),
         (horizon.kind, horizon.seconds),
         [fit.records[0] for fit in fits if not fit.ok],

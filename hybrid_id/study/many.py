@@ -128,7 +128,7 @@ def _cluster(address: str | None) -> Iterator[Any]:
         yield None
         return
     try:
-        import dask
+        from dask import config
         from distributed import Client
         from joblib._dask import DaskDistributedBackend
     except ImportError:
@@ -156,7 +156,7 @@ def _cluster(address: str | None) -> Iterator[Any]:
             return future
 
     # what all pieces share goes along with each: scattered, it would be lost with the workers that hold it
-    with client, dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
+    with client, config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
         if not client.scheduler_info()["workers"]:
             raise InputError(
                 f"The Dask scheduler at {address} has no worker; start some with 'dask worker {address}'."
