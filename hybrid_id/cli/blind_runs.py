@@ -16,7 +16,7 @@ from hybrid_id.reporting.provenance import DIRTY, UNKNOWN, commit, short
 
 if TYPE_CHECKING:
     from hybrid_id.baselines.run import Case, Settings
-    from hybrid_id.machines.judge import Judged
+    from hybrid_id.machines.score import Judged
 
 BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""
@@ -342,7 +342,7 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
         InputError: other answers than those whose hash the run had recorded, or a run that is not complete.
     """
     from hybrid_id.baselines.keep import load
-    from hybrid_id.machines.judge import judge
+    from hybrid_id.machines.score import judge
     from hybrid_id.machines.seal import open_answers
 
     about = _complete(folder)

@@ -19,11 +19,11 @@ from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.effects.friction import PreslidingDahl, WithheldCoulomb
 from hybrid_id.machines.experiments import SAMPLE_TIME, draw_campaign, noise_std
-from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.physics.bench import Flaws, replay, run
 from hybrid_id.machines.physics.mujoco import MujocoMachine, Unsupported, planar
 from hybrid_id.machines.rivals import find_rivals
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
+from hybrid_id.machines.score import SOUND
 from hybrid_id.machines.trials import Measured, Simulator, Trials
 
 LEVELS = {"strong": 0.4, "medium": 0.4, "weak": 0.2}

@@ -18,9 +18,9 @@ from hybrid_id.machines.effects.arm import ArmEffect, LinkMass, Nameless
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.experiments import Campaign
 from hybrid_id.machines.joint import SAMPLE, JointTrials, Loads, Masses, Moved
-from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.physics.bench import Encoders, Program, run
 from hybrid_id.machines.rivals import find_rivals
+from hybrid_id.machines.score import SOUND
 from hybrid_id.machines.trials import Measured, Simulator
 
 WRONG = 0.195
