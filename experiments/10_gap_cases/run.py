@@ -8,8 +8,7 @@ import yaml
 from hybrid_id import __version__
 from hybrid_id.baselines.keep import is_done, key_of, load, save
 from hybrid_id.baselines.run import Settings, read_case, run_case
-from hybrid_id.machines.judge import judge
-from hybrid_id.machines.score import figures
+from hybrid_id.machines.score import figures, judge
 from hybrid_id.reporting.provenance import commit
 from hybrid_id.reporting.scoreboard import ROWS, value
 

@@ -13,7 +13,7 @@ import yaml
 from hybrid_id import Dataset, diagnose, load_model
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.identification.keep import Kept
-from hybrid_id.machines.judge import Judged, judge
+from hybrid_id.machines.score import Judged, judge
 
 OUT = Path("runs/criteria")
 FACTORS = (0.5, 2.0)

@@ -15,8 +15,7 @@ from hybrid_id.reading import as_written, read_object
 from hybrid_id.reporting.provenance import DIRTY, UNKNOWN, commit, short
 
 if TYPE_CHECKING:
-    from hybrid_id.baselines.run import Case, Settings
-    from hybrid_id.machines.judge import Judged
+    from hybrid_id.machines.score import Judged
 
 BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""
@@ -135,8 +134,8 @@ def run_methods(
 ) -> int:
     """Let methods diagnose the cases one after the other; returns how many cases broke."""
     from hybrid_id.baselines.external import digest_of, refuse_missing, words_of
-    from hybrid_id.baselines.keep import begin
-    from hybrid_id.baselines.run import METHODS, Settings, read_cases
+    from hybrid_id.baselines.keep import begin, is_done, key_of, load, save
+    from hybrid_id.baselines.run import METHODS, Settings, read_cases, run_cases
     from hybrid_id.machines.seal import case_names, read_manifest, refuse_reachable
     from hybrid_id.records.files import make_folder
 
@@ -175,41 +174,30 @@ def run_methods(
                     "cases": manifest,
                 },
             )
-            failed = _diagnose(todo, folder, settings, method, jobs, scheduler)
+            at = commit()
+            keys = {case.name: key_of(case, settings, __version__, at) for case in todo}
+            left = [case for case in todo if not is_done(load(folder, case.name), keys[case.name])]
+            done, failed = len(todo) - len(left), 0
+            if done:
+                remark(f"{method}: {done} of {len(todo)} cases are kept from before")
+            try:
+                with counting(method) as bar:
+                    task = bar.add_task(method, total=len(left))
+                    for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
+                        case, about = left[number], said["run"]
+                        save(folder, said | {"run": about | {"commit": at}}, keys[case.name])
+                        done, failed = done + 1, failed + bool(about["message"])
+                        bar.advance(task)
+                        how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
+                        line = f"{method} {done} of {len(todo)}: {case.name}, {' '.join(how.split())}"
+                        bar.console.print(line, markup=False, soft_wrap=True, style="dim")
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"stopped; {done} of {len(todo)} cases are kept in {folder}, and the same command goes on"
+                ) from None
         if failed:
             remark(f"{method}: {failed} of {len(todo)} cases broke; the same command tries them again")
         broken += failed
-    return broken
-
-
-def _diagnose(
-    todo: "Sequence[Case]", folder: Path, settings: "Settings", noun: str, jobs: int, scheduler: str | None
-) -> int:
-    """Diagnose the cases that the folder does not hold yet, keep each as it is done; returns how many broke."""
-    from hybrid_id.baselines.keep import is_done, key_of, load, save
-    from hybrid_id.baselines.run import run_cases
-
-    at = commit()
-    keys = {case.name: key_of(case, settings, __version__, at) for case in todo}
-    left = [case for case in todo if not is_done(load(folder, case.name), keys[case.name])]
-    done, broken = len(todo) - len(left), 0
-    if done:
-        remark(f"{noun}: {done} of {len(todo)} cases are kept from before")
-    try:
-        with counting(noun) as bar:
-            task = bar.add_task(noun, total=len(left))
-            for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
-                case, about = left[number], said["run"]
-                save(folder, said | {"run": about | {"commit": at}}, keys[case.name])
-                done, broken = done + 1, broken + bool(about["message"])
-                bar.advance(task)
-                how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
-                line = f"{noun} {done} of {len(todo)}: {case.name}, {' '.join(how.split())}"
-                bar.console.print(line, markup=False, soft_wrap=True, style="dim")
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"stopped; {done} of {len(todo)} cases are kept in {folder}, and the same command goes on"
-        ) from None
     return broken
 
 
@@ -314,27 +302,6 @@ def _complete(folder: Path) -> dict[str, Any]:
     return about
 
 
-def _check_parts(
-    runs: Sequence[Path], parts: Sequence[dict[str, Any]], manifests: Sequence[dict[str, Any]]
-) -> None:
-    """Refuse parts that are not one set of cases, diagnosed by the same programs."""
-
-    def same(part: dict[str, Any], manifest: dict[str, Any]) -> Any:
-        known = ("commit", "train_records", "command")
-        programs = {method: [run.get(key) for key in known] for method, run in part.items()}
-        return programs, manifest["seed"], manifest["options"], manifest["commit"]
-
-    number = 1
-    for folder, part, manifest in zip(runs, parts, manifests, strict=True):
-        if same(part, manifest) != same(parts[0], manifests[0]):
-            raise InputError(
-                f"{folder} and {runs[0]} differ in seed, kind of cases, method, command or commit; score them apart"
-            )
-        if len(runs) > 1 and manifest.get("first", 1) != number:
-            raise InputError(f"{folder} does not begin with case {number}; give all parts, in their order")
-        number += manifest["asked"]
-
-
 def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Judged]":
     """Every case of one method's run, judged.
 
@@ -342,7 +309,7 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
         InputError: other answers than those whose hash the run had recorded, or a run that is not complete.
     """
     from hybrid_id.baselines.keep import load
-    from hybrid_id.machines.judge import judge
+    from hybrid_id.machines.score import judge
     from hybrid_id.machines.seal import open_answers
 
     about = _complete(folder)

@@ -19,11 +19,11 @@ from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.effects.friction import PreslidingDahl, WithheldCoulomb
 from hybrid_id.machines.experiments import SAMPLE_TIME, draw_campaign, noise_std
-from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.physics.bench import Flaws, replay, run
 from hybrid_id.machines.physics.mujoco import MujocoMachine, Unsupported, planar
 from hybrid_id.machines.rivals import find_rivals
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
+from hybrid_id.machines.score import SOUND
 from hybrid_id.machines.trials import Measured, Simulator, Trials
 
 LEVELS = {"strong": 0.4, "medium": 0.4, "weak": 0.2}
@@ -124,10 +124,19 @@ def draw_drive(
         return None
     campaign = draw_campaign(rng, robot, lengths=LENGTHS if messy else None)
     wish = "in_house" if messy else engine or ("mujoco" if rng.random() < IN_MUJOCO else "in_house")
-    if wish == "mujoco" and not _runs_in_mujoco(robot, leaders):
-        if engine:
-            return None
-        wish = "in_house"
+    if wish == "mujoco":
+        truth = robot
+        for one in leaders:
+            truth = one.alter(truth)
+        machine = truth.assemble()
+        for one in leaders:
+            one.install(machine, truth)
+        try:
+            MujocoMachine(*planar(machine))
+        except (ImportError, Unsupported):
+            if engine:
+                return None
+            wish = "in_house"
     case = _tuned(
         Case(name, robot, campaign, engine=wish), rng.uniform(*((0.12, 0.4) if messy else (0.15, 0.45)))
     )
@@ -143,7 +152,15 @@ def draw_drive(
         wrong = 0.0
     about = _About(case, drift, withheld, wrong)
     if family in SOUND:
-        return _sound(rng, about, family, messy=messy)
+        trials, mujoco = about.trials(()), wish == "mujoco"
+        made = trials.record([()], drift, mujoco=mujoco)
+        floor = trials.floors([()], made, mujoco=mujoco)[0]
+        base = trials.fit([Simulator(0, (), trials.true)], made, rounds=ROUNDS)[0]
+        graded = about.graded(rng, trials, made[0], floor, base, ())
+        shows = family == "none" or graded.nominal >= PLAIN * graded.refit
+        if not shows or not graded.refit <= (HARMLESS if messy else SEEN) * graded.floor:
+            return None
+        return about.messy(graded) if messy else graded
     if messy:
         return _mixed(rng, about, leaders, small, family)
     return _levelled(rng, about, leaders, family, level or "medium")
@@ -209,20 +226,6 @@ def _goes_with(one: Effect, others: Sequence[Effect], robot: Robot) -> bool:
         if other.joint == one.joint and (same or geared or dry):
             return False
     return all(other.acts_at(one.alter(altered), other.joint) for other in others)
-
-
-def _runs_in_mujoco(robot: Robot, effects: Sequence[Effect]) -> bool:
-    """Whether MuJoCo is installed and can carry the machine."""
-    for effect in effects:
-        robot = effect.alter(robot)
-    machine = robot.assemble()
-    for effect in effects:
-        effect.install(machine, robot)
-    try:
-        MujocoMachine(*planar(machine))
-    except (ImportError, Unsupported):
-        return False
-    return True
 
 
 def _tuned(case: Case, share: float) -> Case:
@@ -329,19 +332,6 @@ class _About:
         return replace(graded, more={"messy": about})
 
 
-def _sound(rng: np.random.Generator, about: _About, family: str, *, messy: bool) -> Graded | None:
-    """A machine whose structure is that of its simulator."""
-    trials, mujoco = about.trials(()), about.case.engine == "mujoco"
-    made = trials.record([()], about.drift, mujoco=mujoco)
-    floor = trials.floors([()], made, mujoco=mujoco)[0]
-    base = trials.fit([Simulator(0, (), trials.true)], made, rounds=ROUNDS)[0]
-    graded = about.graded(rng, trials, made[0], floor, base, ())
-    shows = family == "none" or graded.nominal >= PLAIN * graded.refit
-    if not shows or not graded.refit <= (HARMLESS if messy else SEEN) * graded.floor:
-        return None
-    return about.messy(graded) if messy else graded
-
-
 def _levelled(
     rng: np.random.Generator, about: _About, effects: Sequence[Effect], family: str, level: str
 ) -> Graded | None:
@@ -427,10 +417,13 @@ def _mixed(
         sizes = np.array([among[i][0] for i in leading] + [size for _, size, _ in kept])
         acting = about.trials([effects[i] for i in (*leading, *(i for i, _, _ in kept))])
         found = _settled(acting, about.drift, sizes, goal)
-        parts = _parts(rng, acting, found, [lift for _, _, lift in kept], leaders) if found else ()
+        if found is None:
+            continue
+        parts = _parts(rng, acting, *found, [lift for _, _, lift in kept])
         outside = sum(part.shares["share"] for part in parts if part.effect.name == UNKNOWN)
-        if found and parts and (outside >= 0.5) == (family == UNKNOWN):
-            return about.messy(about.graded(rng, acting, found.made, found.floor, found.base, parts))
+        if parts and (outside >= 0.5) == (family == UNKNOWN):
+            _, made, floor, base, _ = found
+            return about.messy(about.graded(rng, acting, made, floor, base, parts))
     return None
 
 
@@ -463,27 +456,13 @@ def _lifted(
     return {i: found[i] for i in numbers if i in found}
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A mixture whose leading effects dominate.
+def _settled(
+    trials: Trials, drift: np.ndarray, sizes: np.ndarray, goal: np.ndarray
+) -> tuple[np.ndarray, Measured, Simulator, Simulator, list[Simulator]] | None:
+    """The mixture with leading effects so large that they dominate; None where they do not.
 
-    Attributes:
-        sizes: factor of each effect.
-        made: its records.
-        floor: the machine itself.
-        base: the nominal model, re-fitted.
-        alone: the same with each leading effect.
+    Factors of all effects, records, the machine itself, the re-fitted model, and that with each leading effect.
     """
-
-    sizes: np.ndarray
-    made: Measured
-    floor: Simulator
-    base: Simulator
-    alone: list[Simulator]
-
-
-def _settled(trials: Trials, drift: np.ndarray, sizes: np.ndarray, goal: np.ndarray) -> _Found | None:
-    """The mixture with leading effects so large that they dominate; None where they do not."""
     count, leaders, values = len(sizes), len(goal), trials.true
     for _ in range(CORRECTIONS):
         having = [tuple(np.where(np.arange(count) == i, sizes, 0.0)) for i in range(-1, leaders + WATCHED)]
@@ -499,7 +478,7 @@ def _settled(trials: Trials, drift: np.ndarray, sizes: np.ndarray, goal: np.ndar
         if own.min() >= max(DOMINANT, TWICE * next_one):
             trained = [(base.train - one.train) / (base.train - 1) for one in alone[:leaders]]
             seen = max(trained) >= TRAIN_SHARE and min(trained) >= SECOND_SHARE
-            return _Found(sizes, made[0], floor, base, alone[:leaders]) if seen else None
+            return (sizes, made[0], floor, base, alone[:leaders]) if seen else None
         if own.min() < HOPELESS:
             return None
         # shares grow with the square of the sizes, and what the leading ones leave is that of all others
@@ -511,30 +490,35 @@ def _settled(trials: Trials, drift: np.ndarray, sizes: np.ndarray, goal: np.ndar
 
 
 def _parts(
-    rng: np.random.Generator, trials: Trials, found: _Found, lifts: Sequence[float], leaders: int
+    rng: np.random.Generator,
+    trials: Trials,
+    sizes: np.ndarray,
+    measured: Measured,
+    floor: Simulator,
+    base: Simulator,
+    leading: Sequence[Simulator],
+    lifts: Sequence[float],
 ) -> tuple[Part, ...]:
     """The effects in the order in which they are added, with their shares; none where a small one is too large.
 
     The leading ones come first, then the others by what each lifts alone. The share is the fall of the test mean square
     over the gap when an effect is added after all before it; with all of them the error is that of the machine itself.
     """
-    count, base, made = len(found.sizes), found.base, [found.made]
-    order = [*sorted(range(leaders), key=lambda i: found.alone[i].test), *range(leaders, count)]
+    count, leaders, made = len(sizes), len(leading), [measured]
+    order = [*sorted(range(leaders), key=lambda i: leading[i].test), *range(leaders, count)]
 
     def having(some: Sequence[int], values: Any) -> Simulator:
-        sizes = tuple(float(found.sizes[j]) if j in some else 0.0 for j in range(count))
-        return Simulator(0, sizes, values, free=tuple(i for i in some if i < leaders))
+        factors = tuple(float(sizes[j]) if j in some else 0.0 for j in range(count))
+        return Simulator(0, factors, values, free=tuple(i for i in some if i < leaders))
 
     nested = [having(order[:k], trials.true) for k in range(2, count)]
     single = [having([i], base.values) for i in range(leaders, count)]
     fits = trials.fit([*nested, *single], made, rounds=QUICK)
-    steps = [base, found.alone[order[0]], *fits[: len(nested)]]
-    alone = [*found.alone, *fits[len(nested) :]]
-    gap, gap_train = base.test**2 - found.floor.test**2, base.train - 1
+    steps = [base, leading[order[0]], *fits[: len(nested)]]
+    alone = [*leading, *fits[len(nested) :]]
+    gap, gap_train = base.test**2 - floor.test**2, base.train - 1
     closes = [(base.test**2 - one.test**2) / gap for one in alone]
-    shares = dict(
-        zip(order, -np.diff([*(one.test**2 for one in steps), found.floor.test**2]) / gap, strict=True)
-    )
+    shares = dict(zip(order, -np.diff([*(one.test**2 for one in steps), floor.test**2]) / gap, strict=True))
     shares_train = dict(zip(order, -np.diff([*(one.train for one in steps), 1.0]) / gap_train, strict=True))
     if min(closes[:leaders]) < TWICE * max(closes[leaders:]) or min(shares.values()) < -TANGLED:
         return ()
@@ -542,9 +526,9 @@ def _parts(
         return ()
     parts = []
     for i in order:
-        one, rivals = trials.effects[i].scaled(float(found.sizes[i])), []
+        one, rivals = trials.effects[i].scaled(float(sizes[i])), []
         if i < leaders:
-            rivals = find_rivals(rng, trials, made, base, found.alone[i], i)
+            rivals = find_rivals(rng, trials, made, base, leading[i], i)
             imitated = max((1 - rival.rest for rival in rivals), default=0.0) * closes[i]
             if one.name == UNKNOWN and (imitated > IMITATED or any(rival.counts for rival in rivals)):
                 return ()

@@ -13,14 +13,15 @@ import numpy as np
 
 from hybrid_id.machines.arm import Arm, draw_arm
 from hybrid_id.machines.case import Case, Graded, Part, level_of, short
+from hybrid_id.machines.draw import DOMINANT, IMITATED, TWICE
 from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.machines.effects.arm import ArmEffect, LinkMass, Nameless
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.experiments import Campaign
 from hybrid_id.machines.joint import SAMPLE, JointTrials, Loads, Masses, Moved
-from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.physics.bench import Encoders, Program, run
 from hybrid_id.machines.rivals import find_rivals
+from hybrid_id.machines.score import SOUND
 from hybrid_id.machines.trials import Measured, Simulator
 
 WRONG = 0.195
@@ -35,16 +36,11 @@ TRAIN = 4
 """Train records; one more is for the test."""
 SETTLING = 60
 """Samples for which an arm holds its first pose before a record begins."""
-DOMINANT, TWICE = 0.4, 2.0
-"""Share of the gap that the dominant effect closes at least, on train and on test records, and how many times that of
-the largest small one."""
 PLAIN = 1.6
 """Error of the re-fitted joint over that with all effects, at least, where the dominant effect acts; where nothing is
 missing, of the described arm over the re-fitted one."""
 SEEN = 0.01
 """Rise of a joint's error from which a small effect that lacks is one that is at work."""
-IMITATED = 0.5
-"""Share of what acts outside the catalogue that an effect of the catalogue may explain."""
 ROUNDS = 16
 """Evaluations of a re-fit."""
 RUNAWAY = 4 * np.pi

@@ -15,8 +15,8 @@ from hybrid_id.machines.case import Graded, ground_truth
 from hybrid_id.machines.draw import BANDS, LEVELS, draw_drive
 from hybrid_id.machines.draw_arm import draw_arm_case
 from hybrid_id.machines.effects import CATALOGUE, OUTSIDE
-from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.robots import SYSTEMS
+from hybrid_id.machines.score import SOUND
 from hybrid_id.records.files import hidden_beside
 from hybrid_id.records.yaml_file import write_yaml
 

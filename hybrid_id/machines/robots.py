@@ -169,7 +169,7 @@ class Robot:
                 "nominal": nominal,
                 "lower": _rounded(nominal / 4, 3),
                 "upper": _rounded(4 * nominal, 3),
-                "unit": _unit(name),
+                "unit": UNITS[next(p for p in sorted(UNITS, key=len, reverse=True) if name.startswith(p))],
             }
         return {
             "system": self.system,
@@ -260,8 +260,3 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _rounded(value: float, digits: int) -> float:
     return float(f"{value:.{digits}g}")
-
-
-def _unit(name: str) -> str:
-    prefix = next(p for p in sorted(UNITS, key=len, reverse=True) if name.startswith(p))
-    return UNITS[prefix]

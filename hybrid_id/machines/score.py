@@ -1,4 +1,4 @@
-"""Scores of many judged cases, each with its interval, and the targets that were set before the first run."""
+"""Diagnoses held against their ground truth, the scores of many, each with its interval, and the targets set before."""
 
 import math
 from collections import Counter
@@ -7,9 +7,248 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import binom, norm
 
-from hybrid_id.machines.judge import Judged
+Truth = Mapping[str, Any]
+Said = Mapping[str, Any]
+"""The content of a ``diagnosis.json``."""
+SOUND = ("none", "parameters")
+"""Families whose structure is right; in those of earlier generators, ``none`` has wrong values, too."""
+LINK = ("link_friction", "load")
+"""Places on the link's side of a gear."""
+RIGHT, WRONG = 1.05, 1.2
+"""Error of the nominal values over that of the re-fit up to which they are right, and from which they are wrong."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How one case went; None where a question does not arise.
+
+    Attributes:
+        case: its name.
+        family, level, system, engine: of the case.
+        realism: clean, messy or arms.
+        effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
+        records: train records that the diagnosis had.
+        broken: why there is no diagnosis, empty where there is one.
+        seconds, processor: time that the diagnosis took, and of the processors.
+        said: what it stands by, in one word: an effect's name (that of the answer where it is accepted), ``unknown``,
+            ``none`` or ``broken``.
+        top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; a messy machine's
+            dominant ones).
+        leads_train: whether a dominant effect of a messy machine explains most on the train records, too: what shows in
+            test records alone cannot be found.
+        place: whether the first one's place is accepted (likewise).
+        top_1_at_place: both together.
+        joint: whether its joint is that of a dominant effect, or one that feels it as well (arms).
+        tied: whether an accepted name is the first one's or one of those that are said to be indistinguishable from it
+            (arms).
+        pair: hits, named and true effects of a pair.
+        whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
+            "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect
+            first, no name that was not at work, and "unknown" only where the dominant effect is outside the catalogue.
+        false_alarm: whether something is named in a case where the structure is right.
+        values: whether the verdict there is that nothing is wrong, or the parameters alone.
+        outside: whether something outside the catalogue is detected where it acts.
+        outside_at: whether the joint, and the side of its gear, at which it is said to act are right; None where
+            neither is claimed.
+        false_unknown: whether it is claimed where nothing like it acts.
+        claims: probability of each ranked effect, and whether it was at work.
+        share_errors: claimed share of the gap of each effect that is rightly named, less the true one [points].
+        share_covered: whether the interval of the first one's share holds the true one.
+        shrink_error: claimed share of the gap that closes, less the true one [points].
+        covered: whether the interval of the share holds the true one.
+        closed: share of the closable gap that is closed.
+    """
+
+    case: str
+    family: str
+    level: str
+    system: str
+    engine: str
+    realism: str
+    effect: str
+    records: int
+    broken: str
+    seconds: float
+    said: str
+    processor: float = math.nan
+    top_1: bool | None = None
+    top_3: bool | None = None
+    leads_train: bool | None = None
+    place: bool | None = None
+    top_1_at_place: bool | None = None
+    joint: bool | None = None
+    tied: bool | None = None
+    pair: tuple[int, int, int] | None = None
+    whole: bool = False
+    false_alarm: bool | None = None
+    values: bool | None = None
+    outside: bool | None = None
+    outside_at: bool | None = None
+    false_unknown: bool | None = None
+    claims: tuple[tuple[float, bool], ...] = ()
+    share_errors: tuple[float, ...] = ()
+    share_covered: bool | None = None
+    shrink_error: float | None = None
+    covered: bool | None = None
+    closed: float | None = None
+
+    @property
+    def f1(self) -> float | None:
+        """Harmonic mean of precision and recall of a pair's effects."""
+        return None if self.pair is None else 2 * self.pair[0] / max(self.pair[1] + self.pair[2], 1)
+
+
+def judge(case: str, answers: Truth, said: Said | None) -> Judged:
+    """Hold a diagnosis against its answers; a broken one, or None, has nothing right.
+
+    Args:
+        case: its name.
+        answers: its answers.
+        said: its diagnosis, with what the run tells of itself in ``run``.
+    """
+    run = (said or {}).get("run", {})
+    broken = "not run" if said is None else str(run.get("message") or "")
+    said = {} if broken or said is None else said
+    family, truth = str(answers["family"]), answers["effects"]
+    realism = "arms" if "arm" in answers else "messy" if "messy" in answers else "clean"
+    known, messy, of_arm = family != "unknown", realism != "clean", realism == "arms"
+    sound = family in SOUND and not broken
+    leading = [t for t in truth if t.get("role", "dominant") == "dominant"]
+    asked = family == "single" or (messy and family == "pair")
+    ranked, unknown = said.get("effects", []), bool(said.get("unknown", False))
+    chosen, first = [e for e in ranked if e["selected"]], ranked[0] if ranked else None
+
+    # each true effect serves its most probable name, and what is named; another name that the answers accept for it
+    # is neither right nor wrong: of two names of one thing one alone can be probable
+    right = np.array([[_right(e, t) for t in truth] for e in ranked], bool).reshape(len(ranked), len(truth))
+    chance = np.array([float(e["probability"]) for e in ranked])
+    pairs = zip(*linear_sum_assignment(right * chance[:, None], maximize=True), strict=True)
+    serves = {row for row, column in pairs if right[row, column]}
+    claims = tuple(
+        (float(chance[k]), bool(right[k].any()))
+        for k, e in enumerate(ranked)
+        if k in serves or e["selected"] or not right[k].any()
+    )
+    named = right[np.array([bool(e["selected"]) for e in ranked], bool)]
+    hits = int(named[linear_sum_assignment(named, maximize=True)].sum()) if known or messy else 0
+    accepted = [any(e["name"] in t["accept"] for t in leading) for e in ranked[:3]]
+    at_place = bool(asked and first and any(_right(first, t) for t in leading))
+    whole = len(chosen) == hits and (at_place or not asked if messy else hits == (len(truth) if known else 0))
+
+    word = "broken" if broken else "unknown" if unknown else chosen[0]["name"] if chosen else "none"
+    if chosen and not unknown and asked:
+        word = next((t["name"] for t in leading if word in t["accept"]), word)
+    leads = None
+    if asked and all("closes_train" in t for t in truth):
+        small = [t["closes_train"] for t in truth if t["role"] == "small"]
+        leads = max(t["closes_train"] for t in leading) > max(small, default=-math.inf)
+    joint = tied = None
+    if asked and of_arm:
+        joints = {where.rpartition("/")[0] for where in leading[0]["accept_where"]}
+        joint = first is not None and first["where"].rpartition("/")[0] in joints
+        names = {first["name"], *(one.split("@")[0] for one in first["tied_with"])} if first else set()
+        tied = bool(names & set(leading[0]["accept"]))
+    claimed, outside_at = said.get("unknown_location") or {}, None
+    if unknown and not known and claimed.get("joint") is not None:
+        places = [where.split("/") for where in truth[0]["accept_where"]]
+        outside_at = any(
+            at == claimed["joint"] and claimed.get("side") in (None, "load" if place in LINK else "motor")
+            for at, place in places
+        )
+
+    gap, values = said.get("gap") or {}, None
+    before, after, shrink = (gap.get(key) for key in ("refit", "with_effect", "shrink"))
+    if sound and before is not None:  # a method without a re-fit judges no values
+        ratio = answers["oracle"]["nominal"] / answers["oracle"]["refit"]
+        if not RIGHT < ratio < WRONG:
+            values = said["verdict"] == ("no_gap" if ratio <= RIGHT else "parameters_only")
+    # further test records have other errors than those that the answers tell of; and an arm's answers hold joints by
+    # themselves over whole records, while a diagnosis simulates all joints, over as long as they follow
+    adds = family in ("single", "pair") and not said.get("opened") and not of_arm
+    error = covered = closed = None
+    # before and after are measured on the test records; what a diagnosis has to guess is the noise floor
+    if adds and chosen and before is not None and after is not None and shrink is not None:
+        closable = before - answers["oracle"]["noise_floor"]
+        if closable > 0:
+            true, (low, high) = (before - after) / closable, gap.get("shrink_interval") or (None, None)
+            error, covered = 100 * (shrink - true), None if None in (low, high) else bool(low <= true <= high)
+    if adds and not broken:
+        refit, closable = (
+            answers["oracle"]["refit"],
+            answers["oracle"]["refit"] - answers["oracle"]["with_effect"],
+        )
+        if closable > 0:
+            closed = 0.0 if after is None or not math.isfinite(after) else (refit - after) / closable
+    errors, share_covered = _shares(chosen, truth) if messy else ((), None)
+    return Judged(
+        case=case,
+        family=family,
+        level=str(answers["level"]),
+        system=str(run.get("system") or answers.get("made_by", {}).get("system", "")),
+        engine=str(answers.get("made_by", {}).get("engine", "")),
+        realism=realism,
+        effect="+".join(t["name"] for t in leading) or "none",
+        records=int(run.get("train_records", 0)),
+        broken=broken,
+        seconds=float(run.get("seconds", math.nan)),
+        processor=float(run.get("processor_seconds", math.nan)),
+        said=str(word),
+        top_1=any(accepted[:1]) if asked else None,
+        top_3=any(accepted) if asked else None,
+        leads_train=leads,
+        place=bool(first and any(first["where"] in t["accept_where"] for t in leading)) if asked else None,
+        top_1_at_place=at_place if asked else None,
+        joint=joint,
+        tied=tied,
+        pair=(hits, len(chosen), len(truth)) if family == "pair" and not messy else None,
+        whole=not broken and unknown is not known and whole,
+        false_alarm=(bool(chosen) or unknown) if sound else None,
+        values=values,
+        outside=None if known else unknown,
+        outside_at=outside_at,
+        false_unknown=unknown if known and not broken else None,
+        claims=claims,
+        shrink_error=error,
+        covered=covered,
+        closed=closed,
+        share_errors=errors,
+        share_covered=share_covered,
+    )
+
+
+def _right(effect: Said, truth: Truth) -> bool:
+    """Whether an effect is accepted at its place; answers that do not say which name goes where accept all pairs."""
+    if "right" in truth:
+        return f"{effect['name']}@{effect['where']}" in truth["right"]
+    return effect["name"] in truth["accept"] and effect["where"] in truth["accept_where"]
+
+
+def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float, ...], bool | None]:
+    """Errors [points] of the claimed shares of the effects rightly named, and whether the first interval holds its own.
+
+    The true share is what an effect closes after those that are named before it, of the gap on the train records, as
+    the claimed one is. The answers know it alone, and after all larger ones; of two dominant effects either may lead.
+    """
+    if not all("share_train" in one for one in truth):
+        return (), None  # answers of an earlier generator
+    matched = [next((t for t in truth if _right(e, t)), None) for e in chosen]
+    errors, covered = [], None
+    for k, (said, own) in enumerate(zip(chosen, matched, strict=True)):
+        if own is None or own in matched[:k] or said.get("share") is None:
+            continue
+        before = matched[0]
+        true = own["closes_train"] if k == 0 else own["share_train"]
+        if k and before is not None and own["role"] == "dominant" and own is truth[0]:
+            true = own["share_train"] + before["share_train"] - before["closes_train"]
+        errors.append(100 * (float(said["share"]) - true))
+        interval = said.get("share_interval")
+        if k == 0 and interval and None not in interval:
+            covered = bool(interval[0] <= true <= interval[1])
+    return tuple(errors), covered
+
 
 LEVEL = 0.95
 BINS = 10
@@ -72,18 +311,13 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
             found[name] = share([answer for _, answer in known]) | {"wrong": wrong}
     f1 = [(one.case, one.f1) for one in judged if one.f1 is not None]
     if f1:
-        found["f1"] = mean([value for _, value in f1]) | {"wrong": [case for case, value in f1 if value < 1]}
+        found["f1"] = share([value for _, value in f1]) | {"wrong": [case for case, value in f1 if value < 1]}
     sure = [(one.case, right) for one in judged for p, right in one.claims if p >= SURE]
     if sure:
         found["sure"] = share([right for _, right in sure]) | {"wrong": [c for c, right in sure if not right]}
     if (calibration := reliability(_claims(judged)))["n"]:
-        found["calibration"] = {
-            "value": calibration["expected_error"],
-            "low": None,
-            "high": None,
-            "n": calibration["n"],
-            "wrong": [],
-        }
+        value = calibration["expected_error"]
+        found["calibration"] = _bare(value, calibration["n"], [])
     for name, values in (
         ("share_error", [(one.case, error) for one in judged for error in one.share_errors]),
         ("closed", [(one.case, one.closed) for one in judged]),
@@ -97,18 +331,21 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
             worst = sorted(known, key=lambda pair: pair[1], reverse=name != "closed")[:5]
             found[name] = median([v for _, v in known]) | {"wrong": [case for case, _ in worst]}
     if "seconds" in found:
-        most = {"value": found["seconds"]["most"], "low": None, "high": None, "n": found["seconds"]["n"]}
-        found["slowest"] = most | {"wrong": found["seconds"]["wrong"][:1]}
+        seconds = found["seconds"]
+        found["slowest"] = _bare(seconds["most"], seconds["n"], seconds["wrong"][:1])
     return found
 
 
-def share(answers: Sequence[bool]) -> Score:
-    """A share with Wilson's interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    return mean([float(answer) for answer in answers])
+def _bare(value: float, n: int, wrong: Sequence[str]) -> Score:
+    """A score without an interval."""
+    return {"value": value, "low": None, "high": None, "n": n, "wrong": list(wrong)}
 
 
-def mean(values: Sequence[float]) -> Score:
-    """A mean of values from 0 to 1 with Wilson's interval of a share like it, which is the widest that it can have."""
+def share(values: Sequence[float]) -> Score:
+    """A share with Wilson's interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
+
+    Of a mean of values from 0 to 1 the interval of a share like it is the widest that it can have.
+    """
     value, n, z = float(np.mean(values)), len(values), float(norm.ppf((1 + LEVEL) / 2))
     middle, half = value + z**2 / (2 * n), z * math.sqrt(value * (1 - value) / n + (z / (2 * n)) ** 2)
     low, high = ((middle + side * half) / (1 + z**2 / n) for side in (-1, 1))
@@ -161,17 +398,17 @@ def confusion(judged: Sequence[Judged]) -> dict[str, Any]:
 
     An accepted equivalent counts as the effect itself.
     """
-    pairs = Counter((_row(one), one.said) for one in judged if one.family != "pair")
+    pairs = Counter(
+        (one.family if one.family in ("none", "unknown") else one.effect, one.said)
+        for one in judged
+        if one.family != "pair"
+    )
     last = ("none", "unknown", "broken")
     rows = {row for row, _ in pairs}
     effects = sorted((rows | {said for _, said in pairs}) - set(last))
     names = [*[e for e in effects if e in rows], *[e for e in ("none", "unknown") if e in rows]]
     columns = [*effects, *[e for e in last if any(said == e for _, said in pairs)]]
     return {"rows": names, "columns": columns, "counts": [[pairs[(r, c)] for c in columns] for r in names]}
-
-
-def _row(one: Judged) -> str:
-    return one.family if one.family in ("none", "unknown") else one.effect
 
 
 @dataclass(frozen=True)
@@ -195,26 +432,6 @@ class Target:
     upper: bool = False
     most: float | None = None
     surely: bool = False
-
-    @property
-    def words(self) -> str:
-        """The bound as it is printed."""
-        unit = 1 if self.score in UNITS else 100
-        sign = "≤" if self.upper else "not surely below" if self.surely else "≥"
-        text = f"{self.bound:.2f}" if UNITS.get(self.score) == "" else f"{unit * self.bound:g}"
-        ending = f" {UNITS.get(self.score, '%')}".rstrip()
-        return f"{text}-{unit * self.most:g}{ending}" if self.most is not None else f"{sign} {text}{ending}"
-
-    def met(self, value: float) -> bool:
-        """Whether a value reaches it."""
-        if self.most is not None:
-            return self.bound <= value <= self.most
-        return value <= self.bound if self.upper else value >= self.bound
-
-    def shown(self, score: Mapping[str, Any]) -> bool:
-        """Whether all of a score's interval reaches it."""
-        ends = (score["low"], score["high"])
-        return all(end is not None and self.met(end) for end in ends)
 
 
 UNITS = {
@@ -274,15 +491,27 @@ def against_targets(scores: Mapping[str, Any], realism: str = "clean") -> list[d
     those to look at.
     """
     rows = []
-    for target in {"messy": MESSY_TARGETS, "arms": ARM_TARGETS}.get(realism, TARGETS):
-        group = (
-            scores["all"] if target.group is None else scores["by"][target.group[0]].get(target.group[1], {})
+    for aim in {"messy": MESSY_TARGETS, "arms": ARM_TARGETS}.get(realism, TARGETS):
+        group = scores["all"] if aim.group is None else scores["by"][aim.group[0]].get(aim.group[1], {})
+        seen, unit = group.get(aim.score), UNITS.get(aim.score, "%")
+        most = math.inf if aim.most is None else aim.most
+        low, high = (-math.inf, aim.bound) if aim.upper else (aim.bound, most)
+        percent = 1 if aim.score in UNITS else 100
+        words = f"{aim.bound:.2f}" if not unit else f"{percent * aim.bound:g}"
+        sign = "≤" if aim.upper else "not surely below" if aim.surely else "≥"
+        words = f"{sign} {words}" if aim.most is None else f"{words}-{percent * aim.most:g}"
+        judged = None if seen is None else seen["high" if aim.surely else "value"]
+        met = None if judged is None else low <= judged <= high
+        ends = (seen["low"], seen["high"]) if met else (None, None)
+        rows.append(
+            {
+                "claim": aim.claim,
+                "target": f"{words} {unit}".rstrip(),
+                "score": aim.score,
+                "seen": seen,
+                "met": met,
+                "shown": all(end is not None and low <= end <= high for end in ends),
+                "cases": [] if seen is None or met else seen["wrong"],
+            }
         )
-        seen = group.get(target.score)
-        judged = None if seen is None else seen["high" if target.surely else "value"]
-        met = None if judged is None else target.met(judged)
-        cases = [] if seen is None or met else seen["wrong"]
-        row = {"claim": target.claim, "target": target.words, "score": target.score}
-        shown = bool(met and seen is not None and target.shown(seen))
-        rows.append(row | {"seen": seen, "met": met, "shown": shown, "cases": cases})
     return rows

@@ -43,6 +43,8 @@ ROWS = {
     "processor": "processor time per case, median [s]",
     "broken": "broken cases",
 }
+DOUBTFUL = "met; its interval reaches beyond"
+"""What is said of a target that the figure seen meets, and not all of its interval."""
 _PLAIN = ("shrink_error", "share_error", "seconds", "slowest", "processor")
 """Scores in points or seconds."""
 SHORT = {
@@ -91,17 +93,18 @@ def target_rows(targets: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[l
             t["claim"],
             t["target"],
             value(t["score"], t["seen"]),
-            "no case" if t["met"] is None else _verdict(t["met"], t["shown"]),
+            "no case"
+            if t["met"] is None
+            else "**missed**"
+            if not t["met"]
+            else "met"
+            if t["shown"]
+            else DOUBTFUL,
             ", ".join(t["cases"][:12]),
         ]
         for t in targets
     ]
     return ["claim", "target", "seen", "", "cases to look at"], rows
-
-
-def _verdict(met: bool, shown: bool) -> str:
-    """What is said of a target by the figure seen, and by all of its interval."""
-    return ("met" if shown else "met; its interval reaches beyond") if met else "**missed**"
 
 
 def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -221,7 +224,15 @@ def blind_page(content: Scores, figures: Mapping[str, np.ndarray]) -> Page:
     """
     about, first = content["about"], next(iter(content["methods"]))
     entry = content["methods"][first]
-    page = Page(f"Blind check, seed {about['seed']}", _lead(first, entry, about))
+    asked = [t for t in entry["targets"] if t["met"] is not None]
+    missed = [t["claim"] for t in asked if not t["met"]]
+    words = f"{first} meets {len(asked) - len(missed)} of {len(asked)} targets"
+    words += f"; missed: {'; '.join(missed)}." if missed else "."
+    every = entry["scores"]["all"]
+    shown = [f"{said} {value(n, every[n], interval=False)}" for n, said in HEADLINES.items() if every.get(n)]
+    words += f" Over all cases: {', '.join(shown)}." if shown else ""
+    words += f" {about['scored']} of {about['cases']} cases scored, commit {short(about['commit'])}."
+    page = Page(f"Blind check, seed {about['seed']}", words)
     page.section("Scores").add(_on_page(*score_rows(content)), _HOW)
     page.section("Targets").add(_on_page(*target_rows(entry["targets"])))
     page.section("What was said for what was at work").figure(
@@ -232,9 +243,6 @@ def blind_page(content: Scores, figures: Mapping[str, np.ndarray]) -> Page:
         figures["reliability"],
         "How often a named effect was at work, against the probability claimed.",
     )
-    groups = page.section("Group by group")
-    for dimension, figures in entry["scores"]["by"].items():
-        groups.add(f"By {dimension}", _on_page(*group_rows(figures)))
     settings = {
         "scored": about["date"],
         "diagnosed": f"at commit {about['commit']}",
@@ -242,26 +250,6 @@ def blind_page(content: Scores, figures: Mapping[str, np.ndarray]) -> Page:
         "hash of the answers": ", ".join(about["sha256"]),
     }
     return how_made(page, "blind score", about["command"], settings, words="what makes the cases again")
-
-
-def _lead(method: str, entry: Mapping[str, Any], about: Mapping[str, Any]) -> str:
-    """The outcome in words: targets met, the headline figures, and what was scored."""
-    asked = [t for t in entry["targets"] if t["met"] is not None]
-    missed = [t["claim"] for t in asked if not t["met"]]
-    met = len(asked) - len(missed)
-    every = f"all {met}" if asked and not missed else f"{met} of {len(asked)}"
-    words = f"{method} meets {every} targets" if asked else "No case speaks of a target"
-    beyond = sum(t["met"] and not t["shown"] for t in asked)
-    words += f", {beyond} of these with an interval that reaches beyond the target" if beyond else ""
-    silent = len(entry["targets"]) - len(asked)
-    words += f" ({silent} more without a case)" if asked and silent else ""
-    words += f"; missed: {'; '.join(missed)}." if missed else "."
-    scores = entry["scores"]["all"]
-    figures = [
-        f"{said} {value(n, scores[n], interval=False)}" for n, said in HEADLINES.items() if scores.get(n)
-    ]
-    words += f" Over all cases: {', '.join(figures)}." if figures else ""
-    return f"{words} {about['scored']} of {about['cases']} cases scored, commit {short(about['commit'])}."
 
 
 def _on_page(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

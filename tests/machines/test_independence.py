@@ -46,7 +46,7 @@ SAME_MEANING = {
 """Named constants of the generator that tell nothing of a decision of the diagnosis."""
 CLEAN_ONLY = {"LEAST", "SEEN", "PLAIN", "RIGHT", "WRONG", "CLOSE", "ENOUGH", "FARTHEST", "NEEDED"}
 """Named constants of clean cases, whose published seeds have to stay as they are; messy machines have their own."""
-OF_CLEAN = tuple(f"machines/{name}.py" for name in ("draw", "make", "judge", "rivals"))
+OF_CLEAN = tuple(f"machines/{name}.py" for name in ("draw", "make", "score", "rivals"))
 OTHER_QUANTITY = {
     (-0.3, 0.3): "angle of a tight spot or a latch [rad]",
     (0.02, 0.1): "damping ratio of a mounted mass",

@@ -5,8 +5,17 @@ from typing import Any
 
 import pytest
 
-from hybrid_id.machines.judge import Judged, judge
-from hybrid_id.machines.score import against_targets, confusion, figures, median, reliability, scores, share
+from hybrid_id.machines.score import (
+    Judged,
+    against_targets,
+    confusion,
+    figures,
+    judge,
+    median,
+    reliability,
+    scores,
+    share,
+)
 
 FRICTION = "joint1/motor_friction"
 ORACLE = {"nominal": 0.4, "refit": 0.11, "with_effect": 0.01, "noise_floor": 0.01}

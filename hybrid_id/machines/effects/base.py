@@ -35,7 +35,6 @@ class Effect:
         formula: what the ground truth calls it, and who asks for this formula alone; the name of the class by default.
         alias: a second name of the catalogue and its place that mean the same.
         memory: states (B,) of an effect that is a law itself, zero at rest.
-        needs_effort: as of a `Law`.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -52,7 +51,6 @@ class Effect:
     formula: ClassVar[str]
     alias: ClassVar[tuple[str, str] | None] = None
     memory: ClassVar[tuple[str, ...]] = ()
-    needs_effort: ClassVar[bool] = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -141,7 +139,7 @@ class _WithMemory:
 
     def __init__(self, effect: Effect, robot: Any) -> None:
         self.effect: Any = effect
-        self.robot, self.needs_effort = robot, effect.needs_effort
+        self.robot = robot
 
     def start(self, lanes: int) -> None:
         """Set the memory of B runs to rest."""

@@ -95,7 +95,6 @@ class WeakSupply(Effect):
     """
 
     name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
-    needs_effort = True
 
     @classmethod
     def draw(cls, rng, robot, joint):

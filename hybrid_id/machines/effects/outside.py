@@ -208,7 +208,7 @@ class Wind(Outside):
 class CommutationRipple(Outside):
     """Commutation: a ripple that grows with the motor's torque, ``share tau_motor sin(n q_m + phase)``."""
 
-    place, sized, needs_effort = "motor", ("share",), True
+    place, sized = "motor", ("share",)
 
     @classmethod
     def draw(cls, rng, robot, joint):

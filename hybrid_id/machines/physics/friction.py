@@ -153,7 +153,7 @@ class LoadDependent(Law):
     by_effort: bool = False
 
     def __post_init__(self) -> None:
-        self.needs_carried, self.needs_effort = not self.by_effort, self.by_effort
+        self.needs_carried = not self.by_effort
 
     def act(self, push: Push, x: Signals) -> None:
         push.dry(self.mu * np.abs(x.effort if self.by_effort else x.carried))

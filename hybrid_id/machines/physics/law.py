@@ -67,13 +67,11 @@ class Law:
     Attributes:
         on_link: whether it acts on the link, where speed and torque are those of the joint.
         needs_carried: whether it reads the torque through the gear.
-        needs_effort: whether it reads the torque of the motor.
         smooth: whether it has neither memory nor kinks but at zero speed, so that `stick_slip` can step it.
     """
 
     on_link = False
     needs_carried = False
-    needs_effort = False
     smooth = False
 
     def start(self, lanes: int) -> None:
@@ -87,15 +85,9 @@ class Law:
         """Speed of the body that the law acts on."""
         return x.v_a if self.on_link else x.v_m
 
-    def angle(self, x: Signals) -> np.ndarray:
-        """Angle of the body that the law acts on."""
-        return x.q_a if self.on_link else x.q_m
-
 
 class InputLaw:
-    """A law between the command and the motor's terminals; `needs_effort` as of a `Law`."""
-
-    needs_effort = False
+    """A law between the command and the motor's terminals."""
 
     def start(self, lanes: int) -> None:
         """Set the states of B runs to rest."""

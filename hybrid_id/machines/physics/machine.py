@@ -93,7 +93,6 @@ class Drive:
         self.x = x = Signals(lanes)
         x.q_m, x.q_a = angle * self.gear.ratio, angle.copy()
         self.needs_carried = any(law.needs_carried for law in self.rotor_laws)
-        self.motor.tells_effort = any(law.needs_effort for law in (*self.amplifier, *self.rotor_laws))
 
     def laws(self) -> list[InputLaw | Law | Spring]:
         """What may have a memory beside the motor."""
@@ -159,19 +158,14 @@ class Machine:
     def __init__(self, drives: list[Drive], links: OneLink | TwoLinks, *, substeps: int = 8) -> None:
         self.drives, self.links, self.substeps = drives, links, substeps
 
-    def start(self, lanes: int, angles: np.ndarray | None = None) -> None:
-        """Set B runs to rest at link angles (n_joints, B) [rad], zero by default."""
-        angles = np.zeros((len(self.drives), lanes)) if angles is None else angles
-        for drive, angle in zip(self.drives, angles, strict=True):
-            drive.start(lanes, np.array(angle, float))
-
     def begin(self, lanes: int, samples: int, sample_time: float, angles: np.ndarray | None = None) -> None:
         """Prepare B runs of so many samples [s], at rest with rotors where link angles (n_joints, B) [rad] have them.
 
         Without them the machines come to rest from angles zero, without voltage.
         """
-        self.start(lanes, angles)
-        for drive in self.drives:
+        starts = np.zeros((len(self.drives), lanes)) if angles is None else angles
+        for drive, angle in zip(self.drives, starts, strict=True):
+            drive.start(lanes, np.array(angle, float))
             drive.x.history, drive.x.sample_time = np.zeros((samples, lanes)), sample_time
         if angles is None or any(drive.spring is not None for drive in self.drives):
             self._settle(held=angles is not None)
@@ -288,33 +282,22 @@ class Machine:
             drive.x.v_m, drive.x.v_a = v_m, v_a
             if drive.spring is not None:  # its rotor is on its own
                 drive.x.v_m = _stop(drive.rotor, drive.rotor_push, drive.x.v_m, h)
-        if len(drives) == 1:
-            self._move_one(drives[0], m_11, bias[0], turning, h)
-        else:
+        if len(drives) == 2:
             self._move_two(drives[0], drives[1], (m_11, m_12, m_22), bias, turning, h)
+        elif drives[0].spring is not None:
+            drives[0].x.v_a = _stop(m_11, joined(drives[0], bias[0]), drives[0].x.v_a, h)
+        else:  # rotor and link are one
+            drive, old = drives[0], drives[0].x.v_m
+            push, inertia = joined(drive, bias[0], [m_11], turning, [drive]), drive.slope**2 * m_11
+            drive.x.v_m = _stop(drive.rotor + inertia, push, old, h)
+            if drive.needs_carried:
+                drive.x.carried = inertia * (drive.x.v_m - old) / h - drive.slope * drive.link_push.torque
         for drive, (v_m, v_a) in zip(drives, before, strict=True):
             x = drive.x
             x.rise_m, x.rise_a = x.v_m - v_m, x.v_a - v_a
             x.q_m = x.q_m + 0.5 * h * x.v_m
             if drive.spring is not None:
                 x.q_a = x.q_a + 0.5 * h * x.v_a
-
-    def _move_one(
-        self, drive: Drive, mass: Lanes, bias: Lanes, turning: Sequence[np.ndarray], h: float
-    ) -> None:
-        """New speed of the only link, or of its rotor where they are one."""
-        x = drive.x
-        if drive.spring is not None:
-            x.v_a = _stop(mass, joined(drive, bias), x.v_a, h)
-            return
-        push, inertia, old = (
-            joined(drive, bias, [mass], turning, [drive]),
-            drive.slope**2 * mass,
-            x.v_m,
-        )
-        x.v_m = _stop(drive.rotor + inertia, push, old, h)
-        if drive.needs_carried:
-            x.carried = inertia * (x.v_m - old) / h - drive.slope * drive.link_push.torque
 
     def _move_two(
         self, first: Drive, second: Drive, mass: tuple, bias: list, turning: Sequence[np.ndarray], h: float
@@ -341,7 +324,11 @@ class Machine:
         for _ in range(SWEEPS):
             for i in (0, 1):
                 new[i] = _shrink(free[i] - felt[i] * new[1 - i], *limits[i])
-        new = _both_slide(new, free, felt, limits)
+        # exact where both slide as their rounds have settled
+        driven = [f - np.where(n > 0, high, low) for n, f, (low, high) in zip(new, free, limits, strict=True)]
+        exact = [(driven[i] - felt[i] * driven[1 - i]) / (1 - felt[0] * felt[1]) for i in (0, 1)]
+        slides = (new[0] * exact[0] > 0) & (new[1] * exact[1] > 0)
+        new = [np.where(slides, e, n) for e, n in zip(exact, new, strict=True)]
         for i, drive in enumerate(pair):
             if drive.needs_carried and drive.spring is None:
                 a = [(n - o) / h for n, o in zip(new, old, strict=True)]
@@ -392,14 +379,6 @@ def _stop(inertia: Lanes, push: Push, speed: np.ndarray, h: float) -> np.ndarray
     left = inertia + 0.5 * h * push.slope
     free = ((inertia - 0.5 * h * push.slope) * speed + h * push.torque) / left
     return _shrink(free, *_limits(push, h / left))
-
-
-def _both_slide(new: list, free: list, felt: list, limits: list) -> list:
-    """New speeds (B,) of two joints, exact where both slide as their rounds have settled."""
-    driven = [f - np.where(n > 0, high, low) for n, f, (low, high) in zip(new, free, limits, strict=True)]
-    exact = [(driven[i] - felt[i] * driven[1 - i]) / (1 - felt[0] * felt[1]) for i in (0, 1)]
-    slides = (new[0] * exact[0] > 0) & (new[1] * exact[1] > 0)
-    return [np.where(slides, e, n) for e, n in zip(exact, new, strict=True)]
 
 
 def _limits(push: Push, per_torque: Lanes) -> tuple[Lanes, Lanes]:

@@ -33,8 +33,6 @@ class Motor:
     | heating | rise of R / R_0 - 1 per second and square of the torque | 1/(N m)^2/s |
     | cooling | time constant of its fall | s |
     | weakening | speed at which the torque's constant has fallen by half, 0: none | rad/s |
-
-    Whether some law reads its torque is told by `tells_effort`, which the drive sets at the start of a run.
     """
 
     P_1: Lanes
@@ -43,7 +41,6 @@ class Motor:
     heating: Lanes | None = None
     cooling: Lanes = 1.0
     weakening: Lanes | None = None
-    tells_effort: bool = field(default=True, repr=False)
     _torque: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
     _warmth: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
 
@@ -63,8 +60,7 @@ class Motor:
             gain = gain / (1 + (x.v_m / self.weakening) ** 2)
         if self.lag is None:
             push.torque, push.slope = gain * x.volts, gain * self.P_2
-            if self.tells_effort or self.heating is not None:
-                x.effort = gain * (x.volts - self.P_2 * x.v_m)
+            x.effort = gain * (x.volts - self.P_2 * x.v_m)
         else:
             static = gain * (x.volts - self.P_2 * x.v_m)
             rate = x.step / np.maximum(self.lag, 1e-9)

@@ -203,7 +203,11 @@ class Steps:
     def play(self, first: int, samples: int) -> None:
         """Make the steps of some samples."""
         if self._play:
-            self._take_states()
+            # states move to where C has them, which they are then views of
+            for (holder, key), row, view in zip(self.states, self._start, self._views, strict=False):
+                if holder[key] is not view:
+                    row[:] = _filled(holder[key], len(row))
+                    holder[key] = view
             self._play(ctypes.c_longlong(first), ctypes.c_longlong(samples))
             return
         for n in range(first * self.substeps, (first + samples) * self.substeps):
@@ -250,13 +254,6 @@ class Steps:
         sizes += (len(lines), trail.shape[1], len(inputs) - 1)
         fixed = [*map(ctypes.c_longlong, sizes), *(ctypes.c_void_p(a.ctypes.data) for a in self._arrays)]
         return lambda first, samples: code.play(first, samples, *fixed)
-
-    def _take_states(self) -> None:
-        """Move states to where C has them, which they are then views of."""
-        for (holder, key), row, view in zip(self.states, self._start, self._views, strict=False):
-            if holder[key] is not view:
-                row[:] = _filled(holder[key], len(row))
-                holder[key] = view
 
 
 def _filled(value: Any, room: int) -> np.ndarray:
