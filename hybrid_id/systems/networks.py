@@ -63,31 +63,28 @@ class Networks:
         for key, part in parts.items():
             if isinstance(part, ResidualNetwork):
                 place, row = key.split("/")[1], first_row + len(self.state_names)
-                self._check(place, part)
+                rigid, where = self.joint.rigid, f"{self.joint.name}/{place}"
+                if place == "transmission" and rigid:
+                    raise InputError(
+                        f"A rigid gear has no spring torque to which {part.kind} at '{where}' could add; "
+                        "put it at motor_friction, or make the gear compliant."
+                    )
+                known = SIGNALS[: 7 if rigid else None]
+                known = tuple(s for s in known if not (place == "input" and s == "torque"))
+                for name in part.inputs:
+                    if name not in known and not HARMONIC.fullmatch(name) and not OF_JOINT.fullmatch(name):
+                        raise InputError(
+                            f"{part.kind} at '{where}' has no input '{name}'{close_match(name, known)}; it knows "
+                            f"{', '.join(known)}, sin n, cos n, "
+                            "and angle and speed with a joint's number."
+                        )
+                    if (match := HARMONIC.fullmatch(name)) and not float(match[2]):
+                        raise InputError(
+                            f"{part.kind} at '{where}' has the input '{name}', which is the same at every angle; "
+                            "give a number above 0."
+                        )
                 self.by_place[place] = (key, part, range(row, row + part.memory))
                 self.state_names += [f"{name}_{place}{joint.number}" for name in part.states]
-
-    def _check(self, place: str, part: ResidualNetwork) -> None:
-        rigid, where = self.joint.rigid, f"{self.joint.name}/{place}"
-        if place == "transmission" and rigid:
-            raise InputError(
-                f"A rigid gear has no spring torque to which {part.kind} at '{where}' could add; "
-                "put it at motor_friction, or make the gear compliant."
-            )
-        known = SIGNALS[: 7 if rigid else None]
-        known = tuple(s for s in known if not (place == "input" and s == "torque"))
-        for name in part.inputs:
-            if name not in known and not HARMONIC.fullmatch(name) and not OF_JOINT.fullmatch(name):
-                raise InputError(
-                    f"{part.kind} at '{where}' has no input '{name}'{close_match(name, known)}; it knows "
-                    f"{', '.join(known)}, sin n, cos n, "
-                    "and angle and speed with a joint's number."
-                )
-            if (match := HARMONIC.fullmatch(name)) and not float(match[2]):
-                raise InputError(
-                    f"{part.kind} at '{where}' has the input '{name}', which is the same at every angle; "
-                    "give a number above 0."
-                )
 
     def connect(self, joints: Sequence[Joint]) -> None:
         """Let the networks read the motion of all joints; an InputError where one reads a joint that is not there."""
