@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import torch
@@ -13,11 +12,11 @@ from torch import Tensor
 from hybrid_id.components.base import Component, StateUpdate
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
+from hybrid_id.systems.balance import Channels, Rows, Views
 
 if TYPE_CHECKING:
     from hybrid_id.systems.joint import Joint
 
-Views = Mapping[str, SimpleNamespace]
 
 LINK_PLACES = ("link_friction", "load")
 SIGNALS = (
@@ -98,17 +97,13 @@ class Networks:
                         f"there; the last one is {joints[-1].name}."
                     )
 
-    def signals(
-        self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> tuple[list[Tensor], list[Tensor]]:
+    def signals(self, place: str, x: Rows, u: Channels, p: Views) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs in their units and hidden states of the network in a place, ``(B,)`` each."""
         _, part, rows = self.by_place[place]
         inputs = [self._signal(name, place, x, u, p) for name in part.inputs]
         return inputs, [x[row] for row in rows]
 
-    def _signal(
-        self, name: str, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> Tensor:
+    def _signal(self, name: str, place: str, x: Rows, u: Channels, p: Views) -> Tensor:
         joint = self.joint
         at_link = place in LINK_PLACES
         if match := HARMONIC.fullmatch(name):
@@ -131,7 +126,7 @@ class Networks:
         row = joint.positions[0]
         return joint.gear.deflection(x[row : row + 2], (angle, speed), p)[name == "deflection_rate"]
 
-    def _transmitted(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def _transmitted(self, x: Rows, u: Channels, p: Views) -> Tensor:
         """Torque through the gear at the link, ``load + J_link a`` where the gear is rigid, ``(B,)``."""
         joint = self.joint
         if not joint.rigid:
@@ -151,20 +146,18 @@ class Networks:
         return load + link * slope * acceleration
 
     @staticmethod
-    def _motion(joint: Joint, x: Sequence[Tensor], p: Views, at_link: bool, order: int) -> Tensor:
+    def _motion(joint: Joint, x: Rows, p: Views, at_link: bool, order: int) -> Tensor:
         """Angle (order 0) or speed (1) of the rotor or the link."""
         return joint.link_motion(x, p)[order] if at_link else x[joint.positions[0] + order]
 
-    def output(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
+    def output(self, place: str, x: Rows, u: Channels, p: Views) -> Tensor | None:
         """What the network in a place adds there, ``(B,)`` in the place's unit; None where there is none."""
         if place not in self.by_place:
             return None
         key, part, _ = self.by_place[place]
         return part.output(p[key], *self.signals(place, x, u, p))
 
-    def state_updates(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, StateUpdate]]:
+    def state_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each hidden state, and how it goes on."""
         found = []
         for place, (key, part, rows) in self.by_place.items():
