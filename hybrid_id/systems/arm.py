@@ -18,8 +18,8 @@ from hybrid_id.components.load.gravity_compensation import GravityCompensation
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import ZERO, Matrix, Vector, plus, scale
-from hybrid_id.robots.tree import Body, Carried, Point, RigidBodyTree, SpatialInertia
+from hybrid_id.robots.rows import ZERO, Vector, plus, scale
+from hybrid_id.robots.tree import Body, Carried, Point, Pose, RigidBodyTree, SpatialInertia
 from hybrid_id.systems.balance import Balances, Channels, Rows, SpeedBalance, Views
 from hybrid_id.systems.joint import Joint
 
@@ -384,7 +384,7 @@ class Arm:
         accelerations: Sequence[Tensor | float],
         u: Channels,
         p: Views,
-    ) -> tuple[list[tuple[Matrix, Vector]], list[SpatialInertia], list[Tensor | float]]:
+    ) -> tuple[list[Pose], list[SpatialInertia], list[Tensor | float]]:
         """Poses and inertias of the tree, and the torque that each of the system's links needs to move so."""
         every = self._motion(tree, angles, rates, accelerations, u)
         poses, inertias = tree.poses(every[0]), tree.inertias(tuple(self.bodies(p).values()))
