@@ -169,45 +169,6 @@ def started(tree: RigidBodyTree) -> list[TreeJoint]:
     return found
 
 
-def without_rotor(system: System) -> list[str]:
-    """Joints whose rotor stands at what :func:`started` puts in for the description that has none."""
-    if system.tree is None:
-        return []
-    joints = zip(system.tree.joints, started(system.tree), system.joints, strict=True)
-    return [
-        known.name
-        for known, start, joint in joints
-        if not known.armature
-        and (spec := joint.inertia[1].specs.get("J_m")) is not None
-        and spec.value == start.armature / joint.gear_ratio**2
-    ]
-
-
-def geared(system: System) -> dict[str, float]:
-    """Gears of the description's motors at joints whose model takes a torque and has the gear ratio 1, by joint.
-
-    Such a gear may be the drive's, or a mere scale of commands, which nobody can tell from the file.
-    """
-    if system.tree is None:
-        return {}
-    joints = zip(system.tree.joints, system.joints, strict=True)
-    return {
-        known.name: known.gear
-        for known, joint in joints
-        if known.gear != 1.0 and joint.gear_ratio == 1.0 and joint.drive.input[1].channels == ("tau",)
-    }
-
-
-def driven_by_speed(system: System) -> list[str]:
-    """Joints whose actuators in the description act against the speed, and which the model drives by a torque."""
-    if system.tree is None:
-        return []
-    joints = zip(system.tree.joints, system.joints, strict=True)
-    return [
-        known.name for known, joint in joints if known.by_speed and joint.drive.input[1].channels == ("tau",)
-    ]
-
-
 def joint_names(tree: RigidBodyTree, parts: Sequence[tuple[str, Component]]) -> dict[tuple[str, str], str]:
     """Result names of a robot's parameters: symbol and joint, ``F_c_elbow``; place and kind too where that is twice."""
     named: dict[tuple[str, str], tuple[str, str]] = {}
