@@ -5,7 +5,6 @@ import errno
 import itertools
 import re
 import sys
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -91,7 +90,19 @@ class Commands(TyperGroup):
         """The command that a line names, and what is left of the line; options that count once may stand once."""
         name, command, rest = super().resolve_command(ctx, args)  # type: ignore[arg-type]
         inner = getattr(command, "commands", {}).get(rest[0]) if rest else None
-        _refuse_twice(getattr(inner or command, "params", ()), rest)
+        # raise InputError for an option that is given twice and of which all but the last would be passed over
+        params = getattr(inner or command, "params", ())
+        given = [word.partition("=")[0] for word in itertools.takewhile(lambda word: word != "--", rest)]
+        for one in (one for one in params if one.param_type_name == "option"):
+            sides = [
+                next((name for name in names if name in given), "")
+                for names in (one.opts, one.secondary_opts)
+            ]
+            if all(sides):
+                raise InputError(f"{' and '.join(sides)} contradict each other; leave one of them out")
+            times = sum(word in one.opts or word[:2] in one.opts for word in given)  # -oOUT as well
+            if times > 1 and not (one.multiple or one.is_flag):
+                raise InputError(f"{one.opts[0]} is given twice, and one counts; leave the other out")
         return name, command, rest
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
@@ -107,7 +118,11 @@ class Commands(TyperGroup):
         extra["standalone_mode"] = False
         args = list(sys.argv[1:] if args is None else args)
         try:
-            _refuse_control(args)
+            # raise InputError for a word that could be neither shown nor written: a path is both, after all the work
+            if odd := next((word for word in args if has_control(word, lines=True)), None):
+                raise InputError(
+                    f"'{shown(odd)}' on the command line {CONTROL}; rename the file, or type it anew"
+                )
             code = super().main(args=args or ["--help"], prog_name="hybrid-id", **extra)
         except InputError as error:
             code = _refuse(str(error))
@@ -136,26 +151,6 @@ def _plain(message: str) -> str:
     for theirs, ours in THEIRS.items():
         message = re.sub(theirs, ours, message)
     return message.rstrip(".")
-
-
-def _refuse_control(args: list[str]) -> None:
-    """Raise InputError for a word that could be neither shown nor written: a path is both, after all the work."""
-    if odd := next((word for word in args if has_control(word, lines=True)), None):
-        raise InputError(f"'{shown(odd)}' on the command line {CONTROL}; rename the file, or type it anew")
-
-
-def _refuse_twice(params: Sequence[Any], words: list[str]) -> None:
-    """Raise InputError for an option that is given twice and of which all but the last would be passed over."""
-    given = [word.partition("=")[0] for word in itertools.takewhile(lambda word: word != "--", words)]
-    for one in (one for one in params if one.param_type_name == "option"):
-        sides = [
-            next((name for name in names if name in given), "") for names in (one.opts, one.secondary_opts)
-        ]
-        if all(sides):
-            raise InputError(f"{' and '.join(sides)} contradict each other; leave one of them out")
-        times = sum(word in one.opts or word[:2] in one.opts for word in given)  # -oOUT as well
-        if times > 1 and not (one.multiple or one.is_flag):
-            raise InputError(f"{one.opts[0]} is given twice, and one counts; leave the other out")
 
 
 def _refuse(message: str, code: int = 2) -> int:

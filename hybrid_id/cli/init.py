@@ -123,7 +123,26 @@ def init(
         MODEL: _model_text(model),
         **{_schema_of(kind): schema_text(kind) for kind in ("dataset", "model")},
     }
-    _write(folder, texts, proposal.logs if copies else [], base)
+    # write the files under temporary names and rename them; copy logs that lie elsewhere
+    copied = proposal.logs if copies else []
+    from hybrid_id.records.files import make_folder, write_together
+
+    for log in copied:
+        target = folder / log.file.path.resolve().relative_to(base.resolve())
+        if target.exists():
+            raise InputError(
+                f"{target} exists, where a copy of {log.file.path} would go; give another folder"
+            )
+    make_folder(folder)
+    for path in dict.fromkeys(log.file.path for log in copied):
+        target = folder / path.resolve().relative_to(base.resolve())
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            shutil.copytree(path, target)
+        else:
+            shutil.copyfile(path, target)
+    (folder / SCHEMAS).mkdir(exist_ok=True)
+    write_together({folder / name: text for name, text in texts.items()})
     _say(proposal, model, dataset, skews, left, folder, as_json, copies)
 
 
@@ -301,28 +320,6 @@ def _model_text(model: "ProposedModel") -> str:
         else:
             lines.append(f"{key}: {_flow(value)}")
     return "\n".join([*lines, *_questions(model.questions), ""])
-
-
-def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base: Path) -> None:
-    """Write the files under temporary names and rename them; copy logs that lie elsewhere."""
-    from hybrid_id.records.files import make_folder, write_together
-
-    for log in copied:
-        target = folder / log.file.path.resolve().relative_to(base.resolve())
-        if target.exists():
-            raise InputError(
-                f"{target} exists, where a copy of {log.file.path} would go; give another folder"
-            )
-    make_folder(folder)
-    for path in dict.fromkeys(log.file.path for log in copied):
-        target = folder / path.resolve().relative_to(base.resolve())
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            shutil.copytree(path, target)
-        else:
-            shutil.copyfile(path, target)
-    (folder / SCHEMAS).mkdir(exist_ok=True)
-    write_together({folder / name: text for name, text in texts.items()})
 
 
 def _at(values: Any, place: str) -> str:

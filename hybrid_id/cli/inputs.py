@@ -90,31 +90,45 @@ def checked_records(config: StudyConfig) -> "Dataset":
 def read_model(path: Path) -> "System":
     """A model file's system; masses and rotors that its robot's description lacks and gears that it has are said."""
     from hybrid_id.records.yaml_file import read_yaml
-    from hybrid_id.systems.builders import driven_by_speed, geared, without_rotor
+    from hybrid_id.systems.builders import started
     from hybrid_id.systems.model_file import load_model
 
     system = load_model(path)
-    if system.tree is not None and (light := system.tree.massless):
+    if (tree := system.tree) is None:
+        return system
+    file = Path(tree.source).name
+    if light := tree.massless:
         remark(
-            f"{Path(system.tree.source).name} gives no mass for {', '.join(light)}: taken as massless, but for "
+            f"{file} gives no mass for {', '.join(light)}: taken as massless, but for "
             "payloads that the model lists; give each an <inertial> there"
         )
-    if (bare := without_rotor(system)) and system.tree is not None:
+    joints = list(zip(tree.joints, system.joints, strict=True))
+    bare = [  # whose rotor stands at what is put in for the description that has none
+        known.name
+        for (known, joint), start in zip(joints, started(tree), strict=True)
+        if not known.armature
+        and (spec := joint.inertia[1].specs.get("J_m")) is not None
+        and spec.value == start.armature / joint.gear_ratio**2
+    ]
+    if bare:
         remark(
-            f"{Path(system.tree.source).name} gives no armature for {', '.join(bare)}: these rotors are taken at a "
+            f"{file} gives no armature for {', '.join(bare)}: these rotors are taken at a "
             "tenth of the largest inertia that a joint carries, and missing damping as one that stops a joint in 0.3 s"
         )
-    if (braked := driven_by_speed(system)) and system.tree is not None:
+    by_torque = [(known, joint) for known, joint in joints if joint.drive.input[1].channels == ("tau",)]
+    if braked := [known.name for known, _ in by_torque if known.by_speed]:
         remark(
-            f"{Path(system.tree.source).name} brakes {', '.join(braked)} by the speed (<velocity>, or a back-EMF), "
+            f"{file} brakes {', '.join(braked)} by the speed (<velocity>, or a back-EMF), "
             "which is left out: commands are taken as torques; where they are none, log torque or voltage"
         )
-    if (gears := geared(system)) and system.tree is not None and "gear_ratio" not in read_yaml(path):
+    # such a gear may be the drive's, or a mere scale of commands, which nobody can tell from the file
+    gears = {k.name: k.gear for k, joint in by_torque if k.gear != 1.0 and joint.gear_ratio == 1.0}
+    if gears and "gear_ratio" not in read_yaml(path):
         each = [f"{gear:g} at {name}" for name, gear in gears.items()]
-        ratios = [abs(gears.get(name, 1.0)) or 1.0 for name in system.tree.names]
+        ratios = [abs(gears.get(name, 1.0)) or 1.0 for name in tree.names]
         theirs, ours = (", ".join(f"{one:g}" for one in some) for some in (ratios, [1.0] * len(ratios)))
         remark(
-            f"{Path(system.tree.source).name} multiplies commands by a gear ({', '.join(each)}). Torque and "
+            f"{file} multiplies commands by a gear ({', '.join(each)}). Torque and "
             f"motor are taken at the joint all the same; where it is the drive's gear, and they are before it, add "
             f"'gear_ratio: [{theirs}]' to {path.name}, else 'gear_ratio: [{ours}]'"
         )

@@ -110,6 +110,8 @@ class Component(nn.Module):
     """Whether it acts at the motor and not at the link, which matters behind a gear; None where its place says it."""
     splits_inertia: ClassVar[bool] = False
     """Whether it needs the split of inertia between rotor and link, which is then estimated with it."""
+    left_out: ClassVar[str] = "is left out, MuJoCo has no counterpart"
+    """What an export to MuJoCo says where it has no attributes for it."""
 
     def __init_subclass__(cls, **kwargs: object) -> None:
         super().__init_subclass__(**kwargs)
@@ -169,8 +171,12 @@ class Component(nn.Module):
         return ()
 
     def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """What it becomes in MuJoCo: attributes of its place's element, and what they leave out of it."""
-        return {}, "is left out, MuJoCo has no counterpart"
+        """What it becomes in MuJoCo: attributes of its place's element, and what they leave out of it.
+
+        Of a load they are ``bias``, a torque [N m], or ``stiffness`` [N m/rad] and ``rest`` [rad] of a spring; of
+        a bristle its stiffness [N m/rad] and damping [N m s/rad]; a motor becomes a ``dcmotor`` by its ``motorconst``.
+        """
+        return {}, self.left_out
 
     def extra_repr(self) -> str:
         """Parameters in the printed module."""
@@ -187,6 +193,7 @@ class Input(Component):
     """Place ``input``: logged channels to the voltage (or torque, or current) at the motor."""
 
     places = ("input",)
+    left_out = "stays with the controller"
     single = True
     gives: ClassVar[str] = "V"
     """Unit of its command."""
@@ -200,10 +207,6 @@ class Input(Component):
     ) -> Tensor:
         """Effective command, ``(B,)``, in the unit that the motor takes."""
         raise NotImplementedError
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Nothing: MuJoCo's ctrl is the command at the motor, which a controller makes of the channels."""
-        return {}, "stays with the controller"
 
 
 class ServoLoop(Input):
@@ -240,6 +243,7 @@ class LoopStage(Component):
     """Place ``input``: one state of a position loop beside its gains, stepped exactly at constant motion."""
 
     places = ("input",)
+    left_out = "is left out, MuJoCo's position actuator has no such part"
 
     def goal(self, p: SimpleNamespace, aim: Tensor, state: Tensor) -> Tensor:
         """Goal [rad] that the loop follows, ``(B,)``, of the one that it takes."""
@@ -273,15 +277,12 @@ class LoopStage(Component):
         """Its state after a long time at this goal and speed, ``(B,)``, as far as these tell."""
         return torch.zeros_like(aim)
 
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Nothing: MuJoCo's position actuator has gains and limits alone."""
-        return {}, "is left out, MuJoCo's position actuator has no such part"
-
 
 class CommandMap(Component):
     """Place ``input``: changes the effective command on its way to the motor."""
 
     places = ("input",)
+    left_out = "is left out, MuJoCo's actuators have no such map"
     stage: ClassVar[int] = 1
     """Where along the way: what a driver does to small commands (0), its limits (1), the supply behind them (2)."""
 
@@ -289,15 +290,12 @@ class CommandMap(Component):
         """What becomes of the command, ``(B,)``, in its own unit, at a rotor speed [rad/s]."""
         raise NotImplementedError
 
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Attributes of MuJoCo's actuators."""
-        return {}, "is left out, MuJoCo's actuators have no such map"
-
 
 class Motor(Component):
     """Place ``motor``: effective command and rotor speed to motor torque."""
 
     places = ("motor",)
+    left_out = "is left out, MuJoCo has no such motor"
     single = True
     takes: ClassVar[str] = "V"
     """Unit of the command that it takes; empty where any will do."""
@@ -312,23 +310,16 @@ class Motor(Component):
             f"A {self.kind} has no current output; measure torque or use a dc_motor or current_motor."
         )
 
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Attributes of an actuator, a ``dcmotor`` where they name its ``motorconst``."""
-        return {}, "is left out, MuJoCo has no such motor"
-
 
 class RotorTorque(Component):
     """Place ``motor``: a torque on the rotor beside the motor's own, there with the motor switched off too."""
 
     places = ("motor",)
+    left_out = "is left out, MuJoCo's motor has no such torque"
 
     def torque(self, p: SimpleNamespace, angle: Tensor, speed: Tensor) -> Tensor:
         """Torque that drives the rotor [N m], ``(B,)``, at its angle [rad] and speed [rad/s]."""
         raise NotImplementedError
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Attributes of MuJoCo's ``dcmotor``."""
-        return {}, "is left out, MuJoCo's motor has no such torque"
 
 
 class Winding(Component):
@@ -362,6 +353,9 @@ class Friction(Component):
     """
 
     places = ("motor_friction", "link_friction")
+    left_out = (
+        ""  # the export samples a law's smooth torque and dry level, and says itself what else it leaves out
+    )
     has_level: ClassVar[bool] = False
     """Whether it is a level of dry friction by itself, to which the laws of falls, waves and bristles add."""
     by_direction: ClassVar[bool] = False
@@ -392,10 +386,6 @@ class Friction(Component):
     def effort_factor(self, p: SimpleNamespace) -> Tensor | None:
         """Dry friction per unit of the motor's torque [1], ``(1,)`` or ``(B,)``."""
         return None
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Nothing: the export samples a law's smooth torque and dry level, and says itself what else it leaves out."""
-        return {}, ""
 
 
 class Transmission(Component):
@@ -451,14 +441,11 @@ class LoadTorque(Component):
     """Place ``load``: a torque at the link that opposes the motor, from the link's motion."""
 
     places = ("load",)
+    left_out = "is left out, MuJoCo has no such load"
 
     def torque(self, p: SimpleNamespace, angle: Tensor, speed: Tensor) -> Tensor:
         """Torque at the link [N m] that the drive must overcome, ``(B,)``."""
         raise NotImplementedError
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """``bias``: a torque [N m]; or ``stiffness`` [N m/rad] and ``rest`` [rad] of a spring."""
-        return {}, "is left out, MuJoCo has no such load"
 
 
 class LoggedTorque(Component):

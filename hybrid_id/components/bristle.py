@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Counterpart, Effect, Friction
+from hybrid_id.components.base import Effect, Friction
 from hybrid_id.components.site import Site, free
 from hybrid_id.parameters import Bounded
 
@@ -23,6 +23,7 @@ class Bristle(Friction):
     """
 
     states = ("bristle",)
+    left_out = "has a bristle that is left out, its friction is dry there"
     effect = Effect(
         "presliding_friction",
         "contacts that give like a spring before they slide; usually within a degree of the rotor",
@@ -49,10 +50,6 @@ class Bristle(Friction):
     def torque(self, p: SimpleNamespace, states: Sequence[Tensor], speed: Tensor, level: Tensor) -> Tensor:
         """Friction torque [N m], ``(B,)``."""
         raise NotImplementedError
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """``bristle``: stiffness [N m/rad] and damping [N m s/rad] of MuJoCo's LuGre friction."""
-        return {}, "has a bristle that is left out, its friction is dry there"
 
 
 def stiffnesses(site: Site) -> list[Bounded]:

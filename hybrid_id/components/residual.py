@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import Component, Counterpart
+from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES, Bounded, Parameter
 
@@ -51,6 +51,7 @@ class ResidualNetwork(Component):
     """
 
     kind = "residual_network"
+    left_out = "is left out, MuJoCo has no networks: --to torch exports it"
     places = ("input", "motor", "motor_friction", "transmission", "link_friction", "load")
     b_0 = Parameter(
         0.0, lower=-1e6, upper=1e6, unit="place", doc="constant beside the network", estimate=False
@@ -185,10 +186,6 @@ class ResidualNetwork(Component):
     def _weight(self, p: SimpleNamespace, name: str) -> Tensor:
         own = getattr(p, name, None)
         return self.get_parameter(name) if own is None else own
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Nothing: a network goes into a program."""
-        return {}, "is left out, MuJoCo has no networks: --to torch exports it"
 
     def options(self) -> dict[str, Any]:
         """Options of a new network of the same structure and scales; those of a model file."""

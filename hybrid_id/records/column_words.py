@@ -147,7 +147,9 @@ def read_name(name: str, joints: Sequence[str] = (), others: Collection[str] = (
     if kind == "angle" and unit in ("rad/s", "deg/s", "rpm", "rev/s"):
         kind = "speed"
     desired = (
-        "d" in found and kind in ("angle", "speed", "torque") and _without_d(name) in map(tokens, others)
+        "d" in found
+        and kind in ("angle", "speed", "torque")
+        and [word for word in tokens(name) if word != "d"] in map(tokens, others)
     )
     left = [word for word in words if word not in VOCABULARY and not (desired and word == "d")]
     return ColumnWords(
@@ -161,10 +163,6 @@ def read_name(name: str, joints: Sequence[str] = (), others: Collection[str] = (
         counter=bool(found & COUNTERS) or (not kind and left == [] and not found),
         speed_or_voltage=bare,
     )
-
-
-def _without_d(name: str) -> list[str]:
-    return [word for word in tokens(name) if word != "d"]
 
 
 def _spaced(name: str) -> str:

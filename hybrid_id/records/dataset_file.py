@@ -145,7 +145,16 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     ]
     records = tuple(record for _, record in read)
     slack = max(abs(channel.skew) for channel in (*spec.inputs, *spec.outputs))
-    beyond = {one.name: words for part, one in read if part and (words := _beyond_the_log(part, one, slack))}
+    beyond = {}  # records that begin later or end earlier than asked for, by more than steps and skews explain
+    for between, record in read:
+        if between is None:
+            continue
+        (start, stop), first, last = between, float(record.time[0]), float(record.time[-1])
+        if max(first - start, stop - last) > slack + MAX_GAP * record.sample_time:
+            beyond[record.name] = (
+                f"'between' asks for {stamp(start)} to {stamp(stop)} s, of which {stamp(first)} to {stamp(last)} s are "
+                "logged; correct it, unless all of that is meant"
+            )
     # a joint of which nothing changes may be held, while others move; one of two sensors of a joint may not
     moving = {c.name for c in outputs if any(np.ptp(record.outputs[c.name]) for record in records)}
     joints = {number_of(name) for name in moving}
@@ -166,27 +175,10 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     return Content(spec.name, inputs, outputs, records, sample_time, path, reports, beyond)
 
 
-def _beyond_the_log(between: tuple[float, float], record: Record, slack: float) -> str:
-    """That a record begins later or ends earlier than asked for, by more than steps and skews [s] explain."""
-    (start, stop), first, last = between, float(record.time[0]), float(record.time[-1])
-    if max(first - start, stop - last) <= slack + MAX_GAP * record.sample_time:
-        return ""
-    return (
-        f"'between' asks for {stamp(start)} to {stamp(stop)} s, of which {stamp(first)} to {stamp(last)} s are logged; "
-        "correct it, unless all of that is meant"
-    )
-
-
 def common_sample_time(records: tuple[Record, ...]) -> float | None:
     """Return the step (s) that all records keep, to 9 digits, or None where they have none in common."""
     step = float(f"{np.median([record.sample_time for record in records]):.9g}")
     return step if all(keeps_step(record, step) for record in records) else None
-
-
-def usual_sample_time(records: tuple[Record, ...]) -> float:
-    """The step (s) that all records keep; where they have none in common, the median one to 3 digits."""
-    middle = float(np.median([record.sample_time for record in records]))
-    return common_sample_time(records) or float(f"{middle:.3g}")
 
 
 def _channels(spec: DatasetFile, group: str, file: Path) -> tuple[Channel, ...]:
@@ -206,30 +198,25 @@ def _channels(spec: DatasetFile, group: str, file: Path) -> tuple[Channel, ...]:
 
 def _files(entry: RecordEntry, folder: Path, where: str, follow_links: bool) -> Iterator[Path]:
     """Yield the files that one entry stands for; none of them lies elsewhere, unless links may be followed."""
-    for path in _matching(entry, folder, where):
+    found = [folder / entry.file]
+    if not found[0].exists() and any(sign in entry.file for sign in "*?["):
+        found = sorted(
+            path
+            for path in folder.glob(entry.file)
+            if not path.name.startswith(".") and (path.is_file() or is_bag_folder(path))
+        )
+        if not found:
+            raise InputError(
+                f"{where}: no file fits the pattern '{entry.file}'; correct it or bring the files"
+            )
+        if entry.name and len(found) > 1:
+            raise InputError(
+                f"{where}: {len(found)} files fit '{entry.file}', but 'name' names one; remove 'name'"
+            )
+    for path in found:
         for one in () if follow_links else (path, *(path.iterdir() if path.is_dir() else ())):
             refuse_outside(one, folder, f"{where}: {one}", FOLLOW)
         yield path
-
-
-def _matching(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:
-    """Yield what one entry's name or pattern fits."""
-    exact = folder / entry.file
-    if exact.exists() or not any(sign in entry.file for sign in "*?["):
-        yield exact
-        return
-    found = sorted(
-        path
-        for path in folder.glob(entry.file)
-        if not path.name.startswith(".") and (path.is_file() or is_bag_folder(path))
-    )
-    if not found:
-        raise InputError(f"{where}: no file fits the pattern '{entry.file}'; correct it or bring the files")
-    if entry.name and len(found) > 1:
-        raise InputError(
-            f"{where}: {len(found)} files fit '{entry.file}', but 'name' names one; remove 'name'"
-        )
-    yield from found
 
 
 def _read_record(
@@ -335,7 +322,8 @@ def resampled(
     records: tuple[Record, ...], options: ResampleEntry, sample_time: float | None
 ) -> tuple[float, tuple[Record, ...], tuple[ResampleReport, ...]]:
     """Records on one grid, its step [s], and what was done to each: the step asked for, the dataset's, or the usual."""
-    step = options.sample_time or sample_time or usual_sample_time(records)
+    middle = float(np.median([record.sample_time for record in records]))
+    step = options.sample_time or sample_time or common_sample_time(records) or float(f"{middle:.3g}")
     pairs = [
         resample_record(record, step, inputs=options.inputs, max_gap=options.max_gap) for record in records
     ]

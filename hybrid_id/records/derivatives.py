@@ -77,7 +77,18 @@ def smooth_derivatives(
     if n_samples < 5:
         raise InputError(f"smoothing: {n_samples} samples are too few; give at least 5")
     if np.ndim(sample_time) == 1:
-        return _on_stamps(y, np.asarray(sample_time, float), noise_std, threshold)
+        # the same on stamps (T,) that need not be uniform
+        time = np.asarray(sample_time, float)
+        step = float(np.median(np.diff(time)))
+        uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 5))
+        rows = y.reshape(-1, y.shape[-1])
+        noise = noise_level(y) if noise_std is None else noise_std
+        even = np.stack([np.interp(uniform, time, row) for row in rows])
+        smooth = smooth_derivatives(even, step, noise, threshold)
+        value, slope, curvature = (
+            np.stack([np.interp(time, uniform, row) for row in part]).reshape(y.shape) for part in smooth
+        )
+        return value, slope, curvature
     step = float(sample_time)
     noise = np.broadcast_to(noise_level(y) if noise_std is None else noise_std, y.shape[:-1])[..., None]
 
@@ -127,22 +138,6 @@ def _weights(half: int, d: int) -> np.ndarray:
     for power in range(d, _DEGREE + 1):
         basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
     return basis @ inverse / half**d
-
-
-def _on_stamps(
-    y: np.ndarray, time: np.ndarray, noise_std: float | np.ndarray | None, threshold: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same on stamps (T,) that need not be uniform."""
-    step = float(np.median(np.diff(time)))
-    uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 5))
-    rows = y.reshape(-1, y.shape[-1])
-    noise = noise_level(y) if noise_std is None else noise_std
-    even = np.stack([np.interp(uniform, time, row) for row in rows])
-    smooth = smooth_derivatives(even, step, noise, threshold)
-    value, slope, curvature = (
-        np.stack([np.interp(time, uniform, row) for row in part]).reshape(y.shape) for part in smooth
-    )
-    return value, slope, curvature
 
 
 _ROLL_OFF = 0.25  # width of the band's soft edges, relative to the edge; a periodic record has sharp ones
@@ -212,10 +207,32 @@ def differentiate(
     cycle = 1 / (highest * sample_time)  # samples per period of the highest frequency
     if periodic == "auto":
         seam_cycle = 1 / (max(highest, edge) * sample_time)  # tones above the band must not look like a step
-        whole, steps = _closes_on_itself(y, int(np.clip(_SEAM_WINDOW * seam_cycle, 8, n_samples // 2)))
+        # whether there is no step in value and slope at the seam (...); the steps (2,), largest of all records
+        window = int(np.clip(_SEAM_WINDOW * seam_cycle, 8, n_samples // 2))
+        around = np.concatenate([y[..., -window:], y[..., :window]], axis=-1)
+        k = (np.arange(2 * window) - window + 0.5) / window
+        design = np.column_stack([np.vander(k, 6), k > 0, np.maximum(k, 0)])
+        inverse = np.linalg.pinv(design)
+        coefficients = around @ inverse.T
+        noise = np.sum((around - coefficients @ design.T) ** 2, axis=-1) / (2 * window - design.shape[1])
+        step = np.abs(coefficients[..., -2:])
+        error = np.sqrt(noise)[..., None] * np.linalg.norm(inverse[-2:], axis=1)
+        harmless = _NEGLIGIBLE * np.stack([np.std(y, axis=-1), window * np.std(np.diff(y), axis=-1)], axis=-1)
+        whole, steps = (
+            np.all(step <= _STANDARD_ERRORS * error + harmless, axis=-1),
+            step.reshape(-1, 2).max(axis=0),
+        )
     else:
         whole, steps = np.full(y.shape[:-1], periodic), np.full(2, np.nan)
-    jumps = _jumps(y, int(np.clip(_END_WINDOW * cycle, 8, n_samples // 2)), sample_time)
+    # value, slope and curvature one sample after the end, less those at the start (3, ...)
+    window = int(np.clip(_END_WINDOW * cycle, 8, n_samples // 2))
+    length = (window - 1) * sample_time
+    inverse = np.linalg.pinv(np.vander(np.linspace(0, 1, window), 4, increasing=True))[:3]
+    to_derivatives = inverse * np.array([[1.0], [1 / length], [2 / length**2]])
+    start = y[..., :window] @ to_derivatives.T
+    end = y[..., : -window - 1 : -1] @ (to_derivatives * np.array([[1.0], [-1.0], [1.0]])).T
+    ahead = np.array([[1, sample_time, sample_time**2 / 2], [0, 1, sample_time], [0, 0, 1]])
+    jumps = np.moveaxis(end @ ahead.T - start, -1, 0)
     jumps = np.where(whole, 0.0, jumps)  # (3, ...)
 
     record_time = n_samples * sample_time
@@ -288,34 +305,6 @@ def _noise_edge(y: np.ndarray, sample_time: float) -> float:
     above = np.flatnonzero(np.any(power > 10 * floor, axis=tuple(range(y.ndim - 1))))
     last = above[-1] if len(above) else 1
     return float(np.clip(1.25 * last / n_samples, 4 / n_samples, 0.4) / sample_time)
-
-
-def _closes_on_itself(y: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whether there is no step in value and slope at the seam (...); the steps (2,), largest of all records.
-
-    A quintic through the samples on both sides of the seam, plus a step and a ramp that begin at the seam.
-    """
-    around = np.concatenate([y[..., -window:], y[..., :window]], axis=-1)
-    k = (np.arange(2 * window) - window + 0.5) / window
-    design = np.column_stack([np.vander(k, 6), k > 0, np.maximum(k, 0)])
-    inverse = np.linalg.pinv(design)
-    coefficients = around @ inverse.T
-    noise = np.sum((around - coefficients @ design.T) ** 2, axis=-1) / (2 * window - design.shape[1])
-    step = np.abs(coefficients[..., -2:])
-    error = np.sqrt(noise)[..., None] * np.linalg.norm(inverse[-2:], axis=1)
-    harmless = _NEGLIGIBLE * np.stack([np.std(y, axis=-1), window * np.std(np.diff(y), axis=-1)], axis=-1)
-    return np.all(step <= _STANDARD_ERRORS * error + harmless, axis=-1), step.reshape(-1, 2).max(axis=0)
-
-
-def _jumps(y: np.ndarray, window: int, sample_time: float) -> np.ndarray:
-    """Value, slope and curvature one sample after the end, less those at the start (3, ...)."""
-    length = (window - 1) * sample_time
-    inverse = np.linalg.pinv(np.vander(np.linspace(0, 1, window), 4, increasing=True))[:3]
-    to_derivatives = inverse * np.array([[1.0], [1 / length], [2 / length**2]])
-    start = y[..., :window] @ to_derivatives.T
-    end = y[..., : -window - 1 : -1] @ (to_derivatives * np.array([[1.0], [-1.0], [1.0]])).T
-    ahead = np.array([[1, sample_time, sample_time**2 / 2], [0, 1, sample_time], [0, 0, 1]])
-    return np.moveaxis(end @ ahead.T - start, -1, 0)
 
 
 def _message(whole: np.ndarray, steps: np.ndarray, margin: int, sample_time: float) -> str:

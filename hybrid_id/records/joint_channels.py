@@ -218,14 +218,53 @@ class _Joint:
 
     def choose(self, angle: ColumnWords | None, speed: ColumnWords | None) -> None:
         """Choose the channels in the order in which one is evidence for the next."""
-        self._side_by_name(angle or speed)
+        # with a gear, a name that says joint means the joint's side; without, both sides are one
+        column = angle or speed
+        assert column is not None
+        at_joint = self.drive.command == "goal" if self.gear == 1.0 else "joint" in tokens(column.name)
+        self.drive.side = "a" if column.side == "link" or (at_joint and not column.side) else "m"
+        self.side_said = bool(column.side)
         if angle is not None:
             self._angle(angle, speed)
         if speed is not None:
             self._speed(speed)
         column = _drives(self.kinds, self.drive.command, self.evidence)
         assert column is not None
-        self._command(column)
+        # the command, with what its drive needs besides
+        command, number, ask = self.drive.command, self.drive.number, self.evidence.ask
+        name = f"{STEMS[command]}{number}"
+        chosen = Chosen(name, column.name, "", guesses=[_why(name, column, command)])
+        self.inputs.append(chosen)
+        if command == "goal":
+            self._goal(chosen, column)
+        elif command == "voltage":
+            self._simple(chosen, column, *self._volts_or_amps(column, "V"))
+            if column.measured:
+                ask(
+                    f"'{column.name}' is taken as the commanded voltage, though its name says measured. Is it?"
+                )
+        elif command == "current":
+            self._simple(chosen, column, *self._volts_or_amps(column, "A"))
+            if not column.command:
+                ask(
+                    f"Is '{column.name}' the commanded current? As a measured one beside a voltage it belongs to the "
+                    "outputs; log the command, too."
+                )
+        elif command == "torque":
+            part, slide = PARTS.get(column.unit, 1.0), self.joint is not None and self.joint.slide
+            unit = column.unit if part != 1.0 else "N" if slide else "N m"
+            self._simple(chosen, column, unit, part)
+            if not column.command:
+                self.evidence.ask_of(
+                    column.name, "Commanded torque, and in N m: {}? Servos log a load or a current so."
+                )
+        else:
+            self._duty(chosen, column)
+        if command == "goal" and self.kinds.get("gain") and self.kinds.get("supply"):
+            self.drive.command = "position_loop"
+            gain, name = self.kinds["gain"][0], f"gain{number}"
+            self.inputs.append(Chosen(name, gain.name, "1", guesses=[_why(name, gain, "gain")]))
+            self._supply()
         # the motor's switch, where it is thrown: off, its terminals are open
         for column in self.kinds.get("enable", ())[:1]:
             if self.evidence.moves(column.name):
@@ -256,7 +295,21 @@ class _Joint:
         if angle is not None:
             self._side_by_motor()
             self._zero()
-            self._lag()
+            # how late the angle follows its goal, the median of the logs that show it
+            if self.drive.command == "goal":
+                logs, goal = self.evidence.liveliest(self.outputs[0].column, FITTED), self.inputs[0]
+                lags = [
+                    goal_lag(self.evidence.time(log), goal.values(log), angle)
+                    for log, angle in zip(logs, self.at_joint(logs), strict=True)
+                ]
+                if shown := [lag for lag in lags if lag]:
+                    self.drive.lag = float(np.median(shown))
+                    words = (
+                        f"distance of angle and goal over the speed, median of {len(shown)} of {len(lags)} logs "
+                        f"({min(shown):.3g} to {max(shown):.3g} s); that of a loop is its damping over its stiffness"
+                    )
+                    most = 2 * len(shown) > len(lags)
+                    goal.guesses.append(Guess(f"lag of {goal.name}", f"{self.drive.lag:.3g} s", words, most))
         self._current()
 
     @property
@@ -273,17 +326,6 @@ class _Joint:
         return self.evidence.sheet.ratio(self.drive.number)
 
     # Side of the gear
-
-    def _side_by_name(self, column: ColumnWords | None) -> None:
-        """With a gear, a name that says joint means the joint's side; without, both sides are one.
-
-        A servo that takes goals in the joint's angle reads them there: its encoder sits at its output, and what gives
-        way in its gear lies before it.
-        """
-        assert column is not None
-        at_joint = self.drive.command == "goal" if self.gear == 1.0 else "joint" in tokens(column.name)
-        self.drive.side = "a" if column.side == "link" or (at_joint and not column.side) else "m"
-        self.side_said = bool(column.side)
 
     def _turn_side(self, side: str, words: str) -> None:
         """Rename the outputs to a side of the gear."""
@@ -428,7 +470,15 @@ class _Joint:
     def _speed(self, column: ColumnWords) -> None:
         name = f"v_{self.drive.side}{self.drive.number}"
         if not self.outputs:
-            self._speed_alone(column, name)
+            # A speed without an angle, in the unit of its name
+            unit = column.unit if column.unit in SPEED_FACTORS else "rad/s"
+            words = "its name says so" if column.unit else "assumed"
+            guess = Guess(f"unit of {name}", unit, words, bool(column.unit))
+            chosen = Chosen(name, column.name, unit, factor=SPEED_FACTORS[unit])
+            chosen.guesses += [_why(name, column, "speed"), guess]
+            if not guess.sure:
+                self._ask_unit(chosen, guess)
+            self.outputs.append(chosen)
             return
         angle = self.outputs[0]
         (log,) = self.evidence.liveliest(column.name)
@@ -483,55 +533,7 @@ class _Joint:
         questions[:] = [q for q in questions if not q.words.startswith(f"In which unit is '{angle.column}'")]
         self._ask_unit(angle, next(one for one in angle.guesses if one.about == about))
 
-    def _speed_alone(self, column: ColumnWords, name: str) -> None:
-        """A speed without an angle, in the unit of its name."""
-        unit = column.unit if column.unit in SPEED_FACTORS else "rad/s"
-        words = "its name says so" if column.unit else "assumed"
-        guess = Guess(f"unit of {name}", unit, words, bool(column.unit))
-        chosen = Chosen(name, column.name, unit, factor=SPEED_FACTORS[unit])
-        chosen.guesses += [_why(name, column, "speed"), guess]
-        if not guess.sure:
-            self._ask_unit(chosen, guess)
-        self.outputs.append(chosen)
-
     # Command
-
-    def _command(self, column: ColumnWords) -> None:
-        """The command, with what its drive needs besides."""
-        command, number, ask = self.drive.command, self.drive.number, self.evidence.ask
-        name = f"{STEMS[command]}{number}"
-        chosen = Chosen(name, column.name, "", guesses=[_why(name, column, command)])
-        self.inputs.append(chosen)
-        if command == "goal":
-            self._goal(chosen, column)
-        elif command == "voltage":
-            self._simple(chosen, column, *self._volts_or_amps(column, "V"))
-            if column.measured:
-                ask(
-                    f"'{column.name}' is taken as the commanded voltage, though its name says measured. Is it?"
-                )
-        elif command == "current":
-            self._simple(chosen, column, *self._volts_or_amps(column, "A"))
-            if not column.command:
-                ask(
-                    f"Is '{column.name}' the commanded current? As a measured one beside a voltage it belongs to the "
-                    "outputs; log the command, too."
-                )
-        elif command == "torque":
-            part, slide = PARTS.get(column.unit, 1.0), self.joint is not None and self.joint.slide
-            unit = column.unit if part != 1.0 else "N" if slide else "N m"
-            self._simple(chosen, column, unit, part)
-            if not column.command:
-                self.evidence.ask_of(
-                    column.name, "Commanded torque, and in N m: {}? Servos log a load or a current so."
-                )
-        else:
-            self._duty(chosen, column)
-        if command == "goal" and self.kinds.get("gain") and self.kinds.get("supply"):
-            self.drive.command = "position_loop"
-            gain, name = self.kinds["gain"][0], f"gain{number}"
-            self.inputs.append(Chosen(name, gain.name, "1", guesses=[_why(name, gain, "gain")]))
-            self._supply()
 
     def _supply(self) -> None:
         """The logged supply voltage."""
@@ -706,25 +708,6 @@ class _Joint:
         )
         if self.joint is None:
             self.drive.fit = self._fit()
-
-    def _lag(self) -> None:
-        """How late the angle follows its goal, the median of the logs that show it."""
-        if self.drive.command != "goal":
-            return
-        logs, goal = self.evidence.liveliest(self.outputs[0].column, FITTED), self.inputs[0]
-        lags = [
-            goal_lag(self.evidence.time(log), goal.values(log), angle)
-            for log, angle in zip(logs, self.at_joint(logs), strict=True)
-        ]
-        if not (shown := [lag for lag in lags if lag]):
-            return
-        self.drive.lag = float(np.median(shown))
-        words = (
-            f"distance of angle and goal over the speed, median of {len(shown)} of {len(lags)} logs ({min(shown):.3g} "
-            f"to {max(shown):.3g} s); that of a loop is its damping over its stiffness"
-        )
-        most = 2 * len(shown) > len(lags)
-        goal.guesses.append(Guess(f"lag of {goal.name}", f"{self.drive.lag:.3g} s", words, most))
 
     def _current(self) -> None:
         """A measured current is an output beside a commanded voltage."""

@@ -134,7 +134,11 @@ def read_log(file: LogFile) -> Log:
     table, faults = _read(file, names, clock)
     left |= faults
     time = table.columns.get(clock)
-    length = _length(table, clock)
+    if clock:
+        length = table.columns[clock].size
+    else:
+        sizes = [values.size for values in table.columns.values()]
+        length = max(set(sizes), key=lambda size: (sizes.count(size), size)) if sizes else 0
     columns = {}
     for name in names:
         if name in left:
@@ -164,13 +168,6 @@ def read_log(file: LogFile) -> Log:
     return Log(
         file, columns, clock, left, {name: table.times[name] for name in columns if name in table.times}
     )
-
-
-def _length(table: Table, clock: str) -> int:
-    if clock:
-        return table.columns[clock].size
-    sizes = [values.size for values in table.columns.values()]
-    return max(set(sizes), key=lambda size: (sizes.count(size), size)) if sizes else 0
 
 
 def _read(file: LogFile, names: Sequence[str], clock: str) -> tuple[Table, dict[str, str]]:

@@ -112,26 +112,23 @@ def rest_samples(record: Record) -> int:
     shows the rest, but it is left out, since its stamp may lag behind the input.
     """
     if record not in _AT_REST:
-        _AT_REST[record] = _count_at_rest(record)
+        drives = [name for name in record.inputs if stem(name) in DRIVES]
+        pushed = np.zeros(record.n_samples, dtype=bool)
+        for name in drives:
+            pushed |= record.inputs[name] != 0
+        quiet = int(np.argmax(pushed)) if pushed.any() else record.n_samples
+        if not drives or quiet <= 1:
+            _AT_REST[record] = 1
+        else:
+            for values in record.outputs.values():
+                start = values[:quiet]
+                left = np.abs(start - np.median(start[:5])) > 6 * max(
+                    estimate_noise(values), quantisation_step(values)
+                )
+                if left.any():
+                    quiet = min(quiet, max(1, int(np.argmax(left)) // 4))
+            _AT_REST[record] = quiet
     return _AT_REST[record]
-
-
-def _count_at_rest(record: Record) -> int:
-    drives = [name for name in record.inputs if stem(name) in DRIVES]
-    pushed = np.zeros(record.n_samples, dtype=bool)
-    for name in drives:
-        pushed |= record.inputs[name] != 0
-    quiet = int(np.argmax(pushed)) if pushed.any() else record.n_samples
-    if not drives or quiet <= 1:
-        return 1
-    for values in record.outputs.values():
-        start = values[:quiet]
-        left = np.abs(start - np.median(start[:5])) > 6 * max(
-            estimate_noise(values), quantisation_step(values)
-        )
-        if left.any():
-            quiet = min(quiet, max(1, int(np.argmax(left)) // 4))
-    return quiet
 
 
 def count_turns(values: np.ndarray, threshold: float) -> int:

@@ -266,7 +266,19 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     other = [name for name in fits if not words[name].kind and not words[name].counter]
     numbered = [name for name in fits if name.isdigit()]
     if not (column := next(iter([*named, *other, *numbered]), None)):
-        _refuse_backward(logs, [name for name in words if words[name].kind == "time"])
+        # raise InputError for a column that would be time, did it not repeat or go back somewhere
+        columns = [name for name in words if words[name].kind == "time"]
+        for log in logs:
+            for name in columns:
+                values = log.columns[name]
+                back = np.flatnonzero(np.diff(values) <= 0.0)
+                if 0 < back.size < BACKWARD * values.size:
+                    k = int(back[0])
+                    step = f"from {values[k]:.9g} to {values[k + 1]:.9g} at sample {k + 2}"
+                    raise InputError(
+                        f"{log.file.path}: time '{name}' goes {step}, but it must increase; correct or remove that "
+                        "sample, or leave the log out"
+                    )
         raise InputError(
             f"{first.file.path} has no column of time: none of {', '.join(list(words)[:12])} increases in even steps; "
             "log the time of each sample"
@@ -276,21 +288,6 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     time = Chosen("t", column, guess.value, guesses=[Guess("time", column, why, column in named), guess])
     time.factor = TIME_FACTORS[guess.value]
     return time
-
-
-def _refuse_backward(logs: Sequence[Log], columns: Sequence[str]) -> None:
-    """Raise InputError for a column that would be time, did it not repeat or go back somewhere."""
-    for log in logs:
-        for name in columns:
-            values = log.columns[name]
-            back = np.flatnonzero(np.diff(values) <= 0.0)
-            if 0 < back.size < BACKWARD * values.size:
-                k = int(back[0])
-                step = f"from {values[k]:.9g} to {values[k + 1]:.9g} at sample {k + 2}"
-                raise InputError(
-                    f"{log.file.path}: time '{name}' goes {step}, but it must increase; correct or remove that "
-                    "sample, or leave the log out"
-                )
 
 
 def _groups(

@@ -76,13 +76,7 @@ def check_record(record: Record) -> list[Finding]:
 
 def check_dataset(dataset: Dataset) -> list[Finding]:
     """Check a dataset as a whole and every record in it; worst first, what records share said once."""
-    findings = [
-        *_roles(dataset),
-        *_repeats(dataset),
-        *_same_signals(dataset),
-        *check_steps(dataset),
-        *_dead_inputs(dataset),
-    ]
+    findings = list(_as_a_whole(dataset))
     findings += [
         Finding("warning", "together", f"these records cannot separate {words}; vary one without the other")
         for words in confounded_signals(dataset.records)
@@ -102,6 +96,73 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
     findings += _merged(_slow_beside_faster(dataset, of_records))
     findings += _resting(dataset)
     return worst_first(findings)
+
+
+def _as_a_whole(dataset: Dataset) -> Iterator[Finding]:
+    """Roles, records that are there twice, signals read from another's column, unequal steps, dead inputs."""
+
+    def is_line(time: np.ndarray, values: np.ndarray) -> bool:
+        """Whether a signal of more than two samples rises or falls in proportion to time."""
+        span = float(np.ptp(values))
+        share = (time - time[0]) / (time[-1] - time[0])
+        line = values[0] + (values[-1] - values[0]) * share
+        return values.size > 2 and span > 0 and float(np.abs(values - line).max()) <= LINE * span
+
+    if not dataset.train:
+        yield Finding("error", "no_train", f"{dataset.name} has no train record; give one the role 'train'")
+    elif len(dataset.train) == 1:
+        words = (
+            f"{dataset.name} has one train record, so parameters cannot be compared over records; add some"
+        )
+        yield Finding("warning", "one_train", words)
+    if not dataset.test:
+        words = f"{dataset.name} has no test record, so nothing is held back; give one the role 'test'"
+        yield Finding("info", "no_test", words)
+    # the same numbers under two names would be counted twice, or leak into the test
+    seen: dict[bytes, Record] = {}
+    for record in dataset:
+        contents = b"".join(
+            values.tobytes() for values in (*record.inputs.values(), *record.outputs.values())
+        )
+        first = seen.setdefault(contents, record)
+        if first is not record:
+            leak = " and would leak from train to test" if first.role != record.role else ""
+            words = f"{record.name} holds the same numbers as {first.name}{leak}; remove one of them"
+            yield Finding("error" if leak else "warning", "repeated", words, record.name)
+    # signals that were read from the column of another one: an input's and an output's, or that of the stamps
+    for one in (c.name for c in dataset.inputs):
+        for other in (c.name for c in dataset.outputs):
+            if all(np.array_equal(record.inputs[one], record.outputs[other]) for record in dataset):
+                words = f"{one} and {other} hold the same numbers in every record; correct the column of one of them"
+                yield Finding("error", "same_signal", words, channel=one)
+    for name in (c.name for c in (*dataset.inputs, *dataset.outputs)):
+        if all(is_line(record.time, record.signal(name)) for record in dataset):
+            words = (
+                f"{name} is a straight line over time in every record; check its column unless it is a ramp"
+            )
+            yield Finding("warning", "as_time", words, channel=name)
+    # the steps of the records beside the finest one
+    finest = min(dataset, key=lambda record: record.sample_time)
+    for record in dataset:
+        if record.sample_time > UNEQUAL * finest.sample_time:
+            words = (
+                f"{record.name}: its samples are {1e3 * record.sample_time:.4g} ms apart where those of {finest.name} "
+                f"are {1e3 * finest.sample_time:.4g} ms apart; check the unit of its time, or resample all to one step"
+            )
+            yield Finding("warning", "unequal_steps", words, record.name)
+    # what pushes the motor and never changes in any train record: a free swing, or a column gone wrong
+    values = {
+        channel.name: np.concatenate([record.inputs[channel.name] for record in dataset.train])
+        for channel in (dataset.inputs if dataset.train else ())
+        if stem(channel.name) in (*DRIVES, "goal")
+    }
+    dead = [name for name, signal in values.items() if np.ptp(signal) == 0]
+    for name in dead:
+        words = (
+            f"{name} is {values[name][0]:g} in every sample of every train record, so nothing shows how it drives the "
+            "motor; unless the joint is to swing freely, check its column or add a record in which it changes"
+        )
+        yield Finding("warning", "dead_input", words, channel=name)
 
 
 def resting(record: Record) -> tuple[str, ...]:
@@ -290,74 +351,8 @@ def _few(names: Sequence[str]) -> str:
     return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
 
 
-def _roles(dataset: Dataset) -> Iterator[Finding]:
-    if not dataset.train:
-        yield Finding("error", "no_train", f"{dataset.name} has no train record; give one the role 'train'")
-    elif len(dataset.train) == 1:
-        words = (
-            f"{dataset.name} has one train record, so parameters cannot be compared over records; add some"
-        )
-        yield Finding("warning", "one_train", words)
-    if not dataset.test:
-        words = f"{dataset.name} has no test record, so nothing is held back; give one the role 'test'"
-        yield Finding("info", "no_test", words)
-
-
-def _dead_inputs(dataset: Dataset) -> Iterator[Finding]:
-    """Inputs that push the motor and never change in any train record: a free swing, or a column gone wrong."""
-    values = {
-        channel.name: np.concatenate([record.inputs[channel.name] for record in dataset.train])
-        for channel in (dataset.inputs if dataset.train else ())
-        if stem(channel.name) in (*DRIVES, "goal")
-    }
-    dead = [name for name, signal in values.items() if np.ptp(signal) == 0]
-    for name in dead:
-        words = (
-            f"{name} is {values[name][0]:g} in every sample of every train record, so nothing shows how it drives the "
-            "motor; unless the joint is to swing freely, check its column or add a record in which it changes"
-        )
-        yield Finding("warning", "dead_input", words, channel=name)
-
-
-def _repeats(dataset: Dataset) -> Iterator[Finding]:
-    """Records with the same numbers under two names: they would be counted twice, or leak into the test."""
-    seen: dict[bytes, Record] = {}
-    for record in dataset:
-        contents = b"".join(
-            values.tobytes() for values in (*record.inputs.values(), *record.outputs.values())
-        )
-        first = seen.setdefault(contents, record)
-        if first is not record:
-            leak = " and would leak from train to test" if first.role != record.role else ""
-            words = f"{record.name} holds the same numbers as {first.name}{leak}; remove one of them"
-            yield Finding("error" if leak else "warning", "repeated", words, record.name)
-
-
 LINE = 1e-9
 """Largest distance of a signal from a straight line, over its span, up to which no sensor has measured it."""
-
-
-def _same_signals(dataset: Dataset) -> Iterator[Finding]:
-    """Signals that were read from the column of another one: an input's and an output's, or that of the stamps."""
-    for one in (c.name for c in dataset.inputs):
-        for other in (c.name for c in dataset.outputs):
-            if all(np.array_equal(record.inputs[one], record.outputs[other]) for record in dataset):
-                words = f"{one} and {other} hold the same numbers in every record; correct the column of one of them"
-                yield Finding("error", "same_signal", words, channel=one)
-    for name in (c.name for c in (*dataset.inputs, *dataset.outputs)):
-        if all(_is_line(record.time, record.signal(name)) for record in dataset):
-            words = (
-                f"{name} is a straight line over time in every record; check its column unless it is a ramp"
-            )
-            yield Finding("warning", "as_time", words, channel=name)
-
-
-def _is_line(time: np.ndarray, values: np.ndarray) -> bool:
-    """Whether a signal of more than two samples rises or falls in proportion to time."""
-    span = float(np.ptp(values))
-    share = (time - time[0]) / (time[-1] - time[0])
-    line = values[0] + (values[-1] - values[0]) * share
-    return values.size > 2 and span > 0 and float(np.abs(values - line).max()) <= LINE * span
 
 
 def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
@@ -439,18 +434,6 @@ def check_sampling(record: Record) -> Iterator[Finding]:
             "'resample: true' makes them uniform"
         )
         yield Finding("info", "jitter", words, name)
-
-
-def check_steps(dataset: Dataset) -> Iterator[Finding]:
-    """Compare the steps of the records with the finest one."""
-    finest = min(dataset, key=lambda record: record.sample_time)
-    for record in dataset:
-        if record.sample_time > UNEQUAL * finest.sample_time:
-            words = (
-                f"{record.name}: its samples are {1e3 * record.sample_time:.4g} ms apart where those of {finest.name} "
-                f"are {1e3 * finest.sample_time:.4g} ms apart; check the unit of its time, or resample all to one step"
-            )
-            yield Finding("warning", "unequal_steps", words, record.name)
 
 
 OFF, WRONG = 0.02, 0.2

@@ -117,7 +117,11 @@ def _two_encoders(dataset: Dataset, number: str, side: str) -> Skew | None:
     relations = []
     for cut in _windows(dataset):
         rate = cut.rates[motor] if kind == "q" else cut.signals[motor]
-        turned = np.sign(cut.smooth_rate(motor)) if kind == "q" else np.zeros_like(rate)
+        turned = np.zeros_like(rate)
+        if kind == "q":  # by the change over nine samples, where it does not drown in noise
+            values = np.pad(cut.signals[motor], 4, mode="edge")
+            change = values[8:] - values[:-8]
+            turned = np.sign(np.where(np.abs(change) > 5.0 * estimate_noise(values), change, 0.0))
         bent = np.gradient(rate, cut.step)
         relations.append(
             _Relation(cut, cut.of(link), [cut.signals[motor], bent, turned], cut.loud(motor) & cut.loud(link))
@@ -150,7 +154,8 @@ def _current_and_motion(dataset: Dataset, number: str, side: str) -> Skew | None
         drive = np.prod([cut.signals[name] for name in voltage if name in cut.signals], axis=0)
         speed = cut.rates[angle] if angle.startswith("q") else cut.signals[angle]
         # What no driver is without: a threshold, a supply that gives way, a winding that warms up.
-        threshold = np.tanh(cut.smooth(current) / (0.1 * np.std(cut.signals[current]) + 1e-300))
+        smooth = uniform_filter1d(cut.signals[current], 5, mode="nearest")
+        threshold = np.tanh(smooth / (0.1 * np.std(cut.signals[current]) + 1e-300))
         warming = drive * np.linspace(-1.0, 1.0, drive.size)
         signals = [drive, speed, threshold, drive * np.abs(drive), warming]
         heard = [np.ones_like(cut.omega)] * len(signals)
@@ -227,16 +232,6 @@ class _Windows:
         values = shift(values, lag / self.step, order=3, mode="nearest") if lag else values
         parts = np.stack([values[cut] for cut in self.cuts])
         return np.fft.rfft(self.hann * (parts - parts.mean(axis=1, keepdims=True)))[:, self.kept]
-
-    def smooth(self, channel: str) -> np.ndarray:
-        """Mean over five samples (T,)."""
-        return uniform_filter1d(self.signals[channel], 5, mode="nearest")
-
-    def smooth_rate(self, channel: str) -> np.ndarray:
-        """Change over nine samples (T,), zero where it drowns in noise."""
-        values = np.pad(self.signals[channel], 4, mode="edge")
-        change = values[8:] - values[:-8]
-        return np.where(np.abs(change) > 5.0 * estimate_noise(values), change, 0.0)
 
     def loud(self, channel: str, *, rate: bool = False) -> np.ndarray:
         """Frequencies (F,) bool at which a channel, or its derivative, stands out of its noise."""

@@ -303,12 +303,11 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
     if not name:
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
         raise InputError(f"{path}: a joint of body '{body}' has no name; give it one.")
-    dof = int(model.jnt_dofadr[j])
-    damping, dry = _damping(mujoco, model, j), float(model.dof_frictionloss[dof])
+    damping, dry = _damping(mujoco, model, j), float(model.dof_frictionloss[at])
     for word, value in (("damping", damping), ("frictionloss", dry)):
         if value < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
-    for word, further in (("damping", model.dof_dampingpoly[dof]), ("stiffness", model.jnt_stiffnesspoly[j])):
+    for word, further in (("damping", model.dof_dampingpoly[at]), ("stiffness", model.jnt_stiffnesspoly[j])):
         if np.any(further):
             raise InputError(
                 f"{path}: {word} of joint '{name}' is a polynomial, which is not simulated; keep its first number."
@@ -349,19 +348,17 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
                 "kp, kv and a gear above 0, and no timeconst, which alone is simulated; make it one, or take it out."
             )
     # what the actuator that drives it makes of its command, where that or the speed alone makes its force
-    driving, _ = _driving(mujoco, model, j)
-    bias = mujoco.mjtBias
+    bias, servo = mujoco.mjtBias, _servo(mujoco, model, j)
     motor: dict[str, Any] = {}
     for i in driving:
         fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
-        at_once = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
-        if not (fixed and at_once):
+        if not (fixed and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE):
             continue
         if model.actuator_biastype[i] == bias.mjBIAS_NONE:
             motor = {"gear": float(model.actuator_gear[i][0]), "gain": float(model.actuator_gainprm[i][0])}
             if model.actuator_ctrllimited[i]:
                 motor["commands"] = tuple(float(end) for end in model.actuator_ctrlrange[i])
-        elif model.actuator_biastype[i] == bias.mjBIAS_AFFINE and _servo(mujoco, model, j) is None:
+        elif model.actuator_biastype[i] == bias.mjBIAS_AFFINE and servo is None:
             motor = {"by_speed": bool(model.actuator_biasprm[i][2])}
     return TreeJoint(
         name=name,
@@ -371,11 +368,11 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         position=_vector(position),
         limits=(low, high) if limited else (-float("inf"), float("inf")),
         armature=float(model.dof_armature[at]) + _of_actuators(mujoco, model, j, model.actuator_armature),
-        damping=_damping(mujoco, model, j),
-        friction_loss=float(model.dof_frictionloss[at]),
+        damping=damping,
+        friction_loss=dry,
         stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
-        servo=_servo(mujoco, model, j),
+        servo=servo,
         torque_limit=_torque_limit(mujoco, model, j),
         **motor,
     )

@@ -39,6 +39,8 @@ from hybrid_id.robots.rows import (
 )
 
 Rows = Sequence[Row]
+Pose = tuple[Matrix, Vector]
+"""Rotation and position [m] of a frame in another one."""
 Motion = tuple[Vector, Vector, Vector]
 """Angular velocity and acceleration of a frame, and the acceleration of its origin less gravity."""
 Pair = tuple[Vector, Vector]
@@ -571,7 +573,7 @@ class RigidBodyTree:
         seen = body.inertia.seen_from(body.rotation, body.position)
         return seen.less(self._fixed[body.name]) if body.name in self._fixed else seen
 
-    def poses(self, q: Rows) -> list[tuple[Matrix, Vector]]:
+    def poses(self, q: Rows) -> list[Pose]:
         """Pose of each joint's frame in its parent's: rotation and position [m].
 
         Args:
@@ -579,7 +581,7 @@ class RigidBodyTree:
         """
         return [_pose(joint, angle) for joint, angle in zip(self.joints, q, strict=True)]
 
-    def pose(self, poses: Sequence[tuple[Matrix, Vector]], joint: int) -> tuple[Matrix, Vector]:
+    def pose(self, poses: Sequence[Pose], joint: int) -> Pose:
         """Pose of a joint's frame in the base's axes: rotation and position [m]."""
         found = []
         while joint >= 0:
@@ -587,14 +589,12 @@ class RigidBodyTree:
             joint = self.joints[joint].parent
         return chained(found[::-1])
 
-    def place(self, poses: Sequence[tuple[Matrix, Vector]], point: Point) -> Vector:
+    def place(self, poses: Sequence[Pose], point: Point) -> Vector:
         """Where a point is in the base's axes [m]."""
         rotation, position = self.pose(poses, point.joint)
         return plus(position, times(rotation, point.position))
 
-    def mass_matrix(
-        self, poses: Sequence[tuple[Matrix, Vector]], inertias: Sequence[SpatialInertia]
-    ) -> list[list[Row]]:
+    def mass_matrix(self, poses: Sequence[Pose], inertias: Sequence[SpatialInertia]) -> list[list[Row]]:
         """Mass matrix M(q), rotors' armature left out: rows of ``(B,)`` or numbers.
 
         Args:
@@ -620,7 +620,7 @@ class RigidBodyTree:
 
     def inverse_dynamics(
         self,
-        poses: Sequence[tuple[Matrix, Vector]],
+        poses: Sequence[Pose],
         inertias: Sequence[SpatialInertia],
         v: Rows,
         a: Rows | None = None,
@@ -727,7 +727,7 @@ class RigidBodyTree:
             torques.append(_along(own, push, cross(place, push)))
         return _along(own, *_unit_acceleration(own, load.body)), total(torques)
 
-    def regressor(self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows) -> list[list[Row]]:
+    def regressor(self, poses: Sequence[Pose], v: Rows, a: Rows) -> list[list[Row]]:
         """W(q, v, a) with ``tau = W phi``: the inverse dynamics as it depends on the inertial parameters, linearly.
 
         phi holds :data:`TEN` of what each joint carries rigidly, about the joint's origin in its axes, as
@@ -751,9 +751,7 @@ class RigidBodyTree:
                     below = self.joints[below].parent
         return found
 
-    def _motions(
-        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows, gravity: Vector
-    ) -> list[Motion]:
+    def _motions(self, poses: Sequence[Pose], v: Rows, a: Rows, gravity: Vector) -> list[Motion]:
         """Angular velocity and acceleration of each joint's frame, and the acceleration of its origin less gravity."""
         motion: list[Motion] = []
         base = (ZERO, ZERO, scale(-1.0, gravity))
@@ -799,7 +797,7 @@ def _number(row: Row) -> float:
     return float(row)
 
 
-def _pose(joint: TreeJoint, q: Row) -> tuple[Matrix, Vector]:
+def _pose(joint: TreeJoint, q: Row) -> Pose:
     if joint.kind == "slide":
         along = times(joint.rotation, (0.0, 0.0, q))
         return joint.rotation, plus(joint.position, along)
@@ -888,10 +886,10 @@ def _needed(body: SpatialInertia, spin: Vector, turn: Vector, pull: Vector) -> t
     return force, moment
 
 
-def chained(poses: Sequence[tuple[Matrix, Vector]]) -> tuple[Matrix, Vector]:
+def chained(poses: Sequence[Pose]) -> Pose:
     """One pose after the other, the first one outermost."""
 
-    def after(one: tuple[Matrix, Vector], other: tuple[Matrix, Vector]) -> tuple[Matrix, Vector]:
+    def after(one: Pose, other: Pose) -> Pose:
         return product(one[0], other[0]), plus(one[1], times(one[0], other[1]))
 
     return reduce(after, poses, (_IDENTITY, ZERO))

@@ -120,7 +120,14 @@ class _Walk:
                 f"{path}, row {error.lineno}: no XML ({expat.ErrorString(error.code)}); give an MJCF or URDF file."
             ) from None
         for name in included:
-            self._included(path, name)
+            # walk through an included file, wherever MuJoCo may look for it
+            places = {folder / name for folder in (self.main.parent, path.parent)}
+            for place in places:
+                self._inside(place, f"{path}: <include> of {name}")
+            for place in sorted(place for place in places if place.exists()):
+                if place.resolve() in self.met:
+                    raise InputError(f"{path}: {name} is included twice or in a circle; include it once.")
+                self.file(place)
 
     def _element(self, path: Path, tag: str, values: dict[str, str], times: float) -> None:
         """Count an element, and keep what it says of files."""
@@ -153,16 +160,6 @@ class _Walk:
                 self.folders[kind] |= {values[k] for k in (key, "assetdir") if k in values}
         if tag not in DESCRIPTIONS:
             self.named |= {(tag, name) for key, name in values.items() if key.startswith("file")}
-
-    def _included(self, path: Path, name: str) -> None:
-        """Walk through an included file, wherever MuJoCo may look for it."""
-        places = {folder / name for folder in (self.main.parent, path.parent)}
-        for place in places:
-            self._inside(place, f"{path}: <include> of {name}")
-        for place in sorted(place for place in places if place.exists()):
-            if place.resolve() in self.met:
-                raise InputError(f"{path}: {name} is included twice or in a circle; include it once.")
-            self.file(place)
 
     def assets(self) -> None:
         """See that every mesh, texture and the like that is there lies below the description, and is a file."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 from typing import cast
 
 import torch
@@ -19,12 +18,11 @@ from hybrid_id.components.load.gravity_compensation import GravityCompensation
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import ZERO, Matrix, Vector, plus, scale
-from hybrid_id.robots.tree import Body, Carried, Point, RigidBodyTree, SpatialInertia
-from hybrid_id.systems.balance import Balances, SpeedBalance
+from hybrid_id.robots.rows import ZERO, Vector, plus, scale
+from hybrid_id.robots.tree import Body, Carried, Point, Pose, RigidBodyTree, SpatialInertia
+from hybrid_id.systems.balance import Balances, Channels, Rows, SpeedBalance, Views
 from hybrid_id.systems.joint import Joint
 
-Views = Mapping[str, SimpleNamespace]
 WEIGHT = "weight"
 """Group of what a joint by itself carries by the description, where all of it rests."""
 LOAD = ":"
@@ -205,9 +203,7 @@ class Arm:
             found = part.gravity(p[key], found)
         return found
 
-    def couple(
-        self, speeds: list[SpeedBalance], x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> Balances:
+    def couple(self, speeds: list[SpeedBalance], x: Rows, u: Channels, p: Views) -> Balances:
         """The balances of all speeds with what acts between the links; without couplings as they are."""
         if not self.couplings and self.tree is None:
             return Balances(speeds)
@@ -253,7 +249,7 @@ class Arm:
         return Balances(speeds, couplings)
 
     def _dynamics(
-        self, angles: Sequence[Tensor], rates: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+        self, angles: Rows, rates: Rows, u: Channels, p: Views
     ) -> tuple[Mass, list[Tensor | float]]:
         """Inertias beside the joints' own, and the torques that oppose each joint, at the links."""
         mass: Mass = {}
@@ -270,12 +266,7 @@ class Arm:
         return mass, torques
 
     def _tree_dynamics(
-        self,
-        tree: RigidBodyTree,
-        angles: Sequence[Tensor],
-        rates: Sequence[Tensor],
-        u: Mapping[str, Tensor],
-        p: Views,
+        self, tree: RigidBodyTree, angles: Rows, rates: Rows, u: Channels, p: Views
     ) -> tuple[Mass, list[Tensor | float]]:
         pairs: Mass
         torques: list[Tensor | float]
@@ -295,7 +286,7 @@ class Arm:
         mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
 
-    def _held_up(self, angles: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> list[Tensor | float]:
+    def _held_up(self, angles: Rows, u: Channels, p: Views) -> list[Tensor | float]:
         """Torque at each of the system's joints by which a controller holds the links' weight; none without one."""
         if not self.compensations or self.tree is None:
             return []
@@ -310,7 +301,7 @@ class Arm:
             weights = [found[number] for number in self.seats]
         return [share * weight for weight in weights]
 
-    def _resting(self, u: Mapping[str, Tensor]) -> Carried:
+    def _resting(self, u: Channels) -> Carried:
         """What a joint by itself carries of the weight that a controller holds, the other joints where they are."""
         own, tree = self.seats[0], cast(RigidBodyTree, self.tree)
         if self._known(u):
@@ -320,7 +311,7 @@ class Arm:
         q = self._motion(tree, [0.0], [0.0], [0.0], u)[0]
         return tree.carried(own, q, still, still, tree.inertias())
 
-    def read(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def read(self, u: Channels) -> dict[str, Tensor]:
         """Those of the channels that the equations read: of a joint by itself what it carries, where that is known."""
         if not self._known(u):
             return {name: channel for name, channel in u.items() if LOAD not in name}
@@ -331,12 +322,12 @@ class Arm:
             n: c for group in self._groups for n, c in u.items() if n.startswith(f"{group}{LOAD}")
         }
 
-    def _known(self, u: Mapping[str, Tensor]) -> bool:
+    def _known(self, u: Channels) -> bool:
         """Whether channels tell all that a joint by itself carries by the description."""
         return bool(self.channels) and len(self.seats) == 1 and all(f"{g}{LOAD}0" in u for g in self._groups)
 
     @torch.no_grad()
-    def with_loads(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def with_loads(self, u: Channels) -> dict[str, Tensor]:
         """Channels with what a joint by itself carries by the description, from the motion of the others.
 
         They are the rows of :attr:`hybrid_id.robots.tree.Carried.groups`, so that no equation needs the tree: those
@@ -356,7 +347,7 @@ class Arm:
         }
         return {**u, **found}
 
-    def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor]) -> Carried:
+    def _carried(self, tree: RigidBodyTree, u: Channels) -> Carried:
         """What a joint by itself carries by the description."""
         own = self.seats[0]
         if self._known(u):
@@ -376,7 +367,7 @@ class Arm:
         angles: Sequence[Tensor | float],
         rates: Sequence[Tensor | float],
         accelerations: Sequence[Tensor | float],
-        u: Mapping[str, Tensor],
+        u: Channels,
     ) -> list[list[Tensor | float]]:
         """Positions, speeds and accelerations of all joints of the tree: the system's, and those that are logged."""
         seat = {number: k for k, number in enumerate(self.seats)}
@@ -388,12 +379,12 @@ class Arm:
     def _needed(
         self,
         tree: RigidBodyTree,
-        angles: Sequence[Tensor],
-        rates: Sequence[Tensor],
+        angles: Rows,
+        rates: Rows,
         accelerations: Sequence[Tensor | float],
-        u: Mapping[str, Tensor],
+        u: Channels,
         p: Views,
-    ) -> tuple[list[tuple[Matrix, Vector]], list[SpatialInertia], list[Tensor | float]]:
+    ) -> tuple[list[Pose], list[SpatialInertia], list[Tensor | float]]:
         """Poses and inertias of the tree, and the torque that each of the system's links needs to move so."""
         every = self._motion(tree, angles, rates, accelerations, u)
         poses, inertias = tree.poses(every[0]), tree.inertias(tuple(self.bodies(p).values()))
@@ -404,9 +395,7 @@ class Arm:
         torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes, self.gravity(p))
         return poses, inertias, [torques[number] for number in self.seats]
 
-    def needed(
-        self, x: Sequence[Tensor], accelerations: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[Tensor | float]:
+    def needed(self, x: Rows, accelerations: Rows, u: Channels, p: Views) -> list[Tensor | float]:
         """Torque [N m], ``(B,)`` or a number, that the links of a robot with a tree need to move as they do.
 
         Args:
@@ -465,9 +454,7 @@ class Arm:
         return inertia.total(view, r) * r**2 if joint.rigid else inertia.link(view, r)
 
 
-def _link_motion(
-    joint: Joint, x: Sequence[Tensor], p: Views
-) -> tuple[Tensor, Tensor, Tensor | float, Tensor | None]:
+def _link_motion(joint: Joint, x: Rows, p: Views) -> tuple[Tensor, Tensor, Tensor | float, Tensor | None]:
     """Angle [rad] and speed [rad/s] of a link, its speed by that of what turns it, and its acceleration at even speed.
 
     What turns a link is the rotor behind a rigid gear, and the link itself behind a compliant one. The acceleration is

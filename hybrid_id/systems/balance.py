@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import cast
 
 import torch
 from torch import Tensor
 
+Rows = Sequence[Tensor]
+"""State rows, ``(B,)`` each."""
+Channels = Mapping[str, Tensor]
+"""Logged channels by name, ``(B,)`` each."""
+Views = Mapping[str, SimpleNamespace]
+"""Parameter views by component key."""
 Directions = Sequence[Tensor | None]
 """Direction of dry friction for each speed, ``(B,)``; None where a speed has no dry friction."""
 

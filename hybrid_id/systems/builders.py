@@ -106,7 +106,17 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
     Raises:
         InputError: joints that tendons or equality constraints tie are not held.
     """
-    _refuse_tied(tree)
+    # refuse a tree whose joints do not all move by themselves
+    if tree.tied:
+        by = " and ".join(dict.fromkeys(tie.by for tie in tree.tied.values()))
+        places = {**tree.held, **{name: tie.at for name, tie in tree.tied.items()}}
+        hold = ", ".join(f"{name}: {at:g}" for name, at in places.items())
+        entry = f"robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}"
+        raise InputError(
+            f"{tree.source}: {', '.join(tree.tied)} cannot move freely here ({by}); hold what stands still, as a "
+            f"gripper or a base on a rack, where it stands, in model.yaml ('{entry}'); where a wrist's gear couples "
+            "joints, take that out and write 'couplings' in model.yaml."
+        )
     ratios = [1.0] * len(tree.joints) if gear_ratio is None else [float(r) for r in gear_ratio]
     parts: list[tuple[str, Component]] = []
     for number, (joint, ratio) in enumerate(zip(started(tree), ratios, strict=True), 1):
@@ -118,21 +128,6 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
     if tree.believed is not None:
         parts.append(("joint1/load", GravityCompensation(c_g=Bounded(1.0, 0.0, 2.0, "1", estimate=False))))
     return System(ratios, parts, joint_names(tree, parts), name="robot", tree=tree)
-
-
-def _refuse_tied(tree: RigidBodyTree) -> None:
-    """Refuse a tree whose joints do not all move by themselves."""
-    if not tree.tied:
-        return
-    by = " and ".join(dict.fromkeys(tie.by for tie in tree.tied.values()))
-    places = {**tree.held, **{name: tie.at for name, tie in tree.tied.items()}}
-    hold = ", ".join(f"{name}: {at:g}" for name, at in places.items())
-    entry = f"robot: {{file: {Path(tree.source).name}, hold: {{{hold}}}}}"
-    raise InputError(
-        f"{tree.source}: {', '.join(tree.tied)} cannot move freely here ({by}); hold what stands still, as a gripper "
-        f"or a base on a rack, where it stands, in model.yaml ('{entry}'); "
-        "where a wrist's gear couples joints, take that out and write 'couplings' in model.yaml."
-    )
 
 
 def _drive(joint: TreeJoint, ratio: float) -> list[tuple[str, Component]]:
@@ -172,45 +167,6 @@ def started(tree: RigidBodyTree) -> list[TreeJoint]:
             joint = replace(joint, armature=rotor, damping=joint.damping or (rotor + own) / STOPPED_WITHIN)
         found.append(joint)
     return found
-
-
-def without_rotor(system: System) -> list[str]:
-    """Joints whose rotor stands at what :func:`started` puts in for the description that has none."""
-    if system.tree is None:
-        return []
-    joints = zip(system.tree.joints, started(system.tree), system.joints, strict=True)
-    return [
-        known.name
-        for known, start, joint in joints
-        if not known.armature
-        and (spec := joint.inertia[1].specs.get("J_m")) is not None
-        and spec.value == start.armature / joint.gear_ratio**2
-    ]
-
-
-def geared(system: System) -> dict[str, float]:
-    """Gears of the description's motors at joints whose model takes a torque and has the gear ratio 1, by joint.
-
-    Such a gear may be the drive's, or a mere scale of commands, which nobody can tell from the file.
-    """
-    if system.tree is None:
-        return {}
-    joints = zip(system.tree.joints, system.joints, strict=True)
-    return {
-        known.name: known.gear
-        for known, joint in joints
-        if known.gear != 1.0 and joint.gear_ratio == 1.0 and joint.drive.input[1].channels == ("tau",)
-    }
-
-
-def driven_by_speed(system: System) -> list[str]:
-    """Joints whose actuators in the description act against the speed, and which the model drives by a torque."""
-    if system.tree is None:
-        return []
-    joints = zip(system.tree.joints, system.joints, strict=True)
-    return [
-        known.name for known, joint in joints if known.by_speed and joint.drive.input[1].channels == ("tau",)
-    ]
 
 
 def joint_names(tree: RigidBodyTree, parts: Sequence[tuple[str, Component]]) -> dict[tuple[str, str], str]:

@@ -360,7 +360,17 @@ def measured_motion(
     sides = {f"q_a{own.number}": 1.0, f"q_m{own.number}": 1.0 / own.gear_ratio}
     name = next((n for n in sides if n in record.outputs), None)
     if own.motors and f"q_a{own.number}" not in record.outputs:
-        return _through_motors(record, system, joint, threshold)
+        # a joint that several motors turn, from their angles
+        found: list[np.ndarray] = []
+        for motor, share in system.joints[joint].motors:
+            if (name := f"q_m{motor.number}") not in record.outputs:
+                raise InputError(
+                    f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add q_a{joint + 1}, or "
+                    f"{name} of a motor that turns it."
+                )
+            found.append(np.stack(_smoothed(record, motor, name, share, threshold)))
+        angle, speed, acceleration = np.sum(found, 0)
+        return angle, speed, acceleration
     if name is None:
         raise InputError(_without_angle(record.title, system, joint))
     return _smoothed(record, own, name, sides[name], threshold)
@@ -387,22 +397,6 @@ def _without_angle(who: str, system: System, joint: int) -> str:
         f"still, hold it in the model file where it stands (robot: {{file: {file}, hold: {{{names[joint]}: 0.0}}}}; 0 "
         f"is the zero of the description){after}."
     )
-
-
-def _through_motors(
-    record: Record, system: System, joint: int, threshold: float | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What :func:`measured_motion` returns of a joint that several motors turn, from their angles."""
-    found: list[np.ndarray] = []
-    for motor, share in system.joints[joint].motors:
-        if (name := f"q_m{motor.number}") not in record.outputs:
-            raise InputError(
-                f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add q_a{joint + 1}, or {name} "
-                "of a motor that turns it."
-            )
-        found.append(np.stack(_smoothed(record, motor, name, share, threshold)))
-    angle, speed, acceleration = np.sum(found, 0)
-    return angle, speed, acceleration
 
 
 def _smoothed(

@@ -19,12 +19,8 @@ from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.arm import Arm
-from hybrid_id.systems.balance import Balances, Directions, Rest, SpeedBalance
+from hybrid_id.systems.balance import Balances, Channels, Directions, Rest, Rows, SpeedBalance, Views
 from hybrid_id.systems.joint import Joint
-
-Rows = Sequence[Tensor]
-Channels = Mapping[str, Tensor]
-Views = Mapping[str, SimpleNamespace]
 
 TURNING = ("input", "motor", "motor_friction", "sensor")
 """Places on the motor's side of a gear."""
@@ -297,12 +293,7 @@ class System(nn.Module):
         }
 
     def rates(
-        self,
-        x: Rows,
-        u: Channels,
-        p: Views,
-        directions: Directions | None = None,
-        width: float = 0.5,
+        self, x: Rows, u: Channels, p: Views, directions: Directions | None = None, width: float = 0.5
     ) -> list[Tensor]:
         """Time derivative of the state rows (those that remember excepted: zero here, see ``state_updates``).
 

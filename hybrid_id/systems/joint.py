@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from types import SimpleNamespace
 from typing import cast
 
 from torch import Tensor
@@ -33,10 +32,8 @@ from hybrid_id.components.sensor.sensor_delay import SensorDelay
 from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
-from hybrid_id.systems.balance import SpeedBalance
+from hybrid_id.systems.balance import Channels, Rows, SpeedBalance, Views
 from hybrid_id.systems.networks import LINK_PLACES, Networks
-
-Views = Mapping[str, SimpleNamespace]
 
 
 def sum_if_any(terms: Sequence[Tensor | None]) -> Tensor | None:
@@ -98,14 +95,12 @@ class Gear:
             )
         return link, slope, curvature
 
-    def deflection(self, rotor: Sequence[Tensor], link: Sequence[Tensor], p: Views) -> list[Tensor]:
+    def deflection(self, rotor: Rows, link: Rows, p: Views) -> list[Tensor]:
         """Deflection of a compliant gear [rad] and its rate [rad/s] from angle and speed of both sides."""
         angle, slope, _ = self.map(rotor[0], p)
         return [angle - link[0], rotor[1] * slope - link[1]]
 
-    def torque(
-        self, rotor: Sequence[Tensor], link: Sequence[Tensor], inertia: tuple[str, Inertia], p: Views
-    ) -> Tensor:
+    def torque(self, rotor: Rows, link: Rows, inertia: tuple[str, Inertia], p: Views) -> Tensor:
         """Torque of a compliant gear's spring at the link [N m], ``(B,)``."""
         (key, part), (spring_key, spring) = inertia, self.transmission
         deflection, rate = self.deflection(rotor, link, p)
@@ -142,7 +137,7 @@ class SensorDynamics:
         self.lag_row = first_row + len(self.state_names)
         self.state_names += [f"{name}{number}" for name in self.lag[1].states] if self.lag else []
 
-    def read(self, channel: str, value: Tensor, seen: float, x: Sequence[Tensor], p: Views) -> Tensor:
+    def read(self, channel: str, value: Tensor, seen: float, x: Rows, p: Views) -> Tensor:
         """What is read where a channel (``q_m``, ``v_a`` ...) has a true value, ``(B,)``.
 
         Args:
@@ -164,7 +159,7 @@ class SensorDynamics:
                 value = sensor.read(p[key], value)
         return value
 
-    def state_updates(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, StateUpdate]]:
+    def state_updates(self, x: Rows, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
         if self.late is None:
             return []
@@ -198,7 +193,7 @@ class Drive:
         rotor: int,
         first_row: int,
         ratio: float,
-        link: Callable[[Sequence[Tensor], Views], tuple[Tensor, Tensor]],
+        link: Callable[[Rows, Views], tuple[Tensor, Tensor]],
     ) -> None:
         joint = f"joint{number}"
         self.number, self.rotor, self.ratio, self.link = number, rotor, ratio, link
@@ -250,7 +245,7 @@ class Drive:
         lags = self.delay[1].lags(sample_time)
         return {f"{name}{self.number}": lags for name in self.input[1].channels}
 
-    def hold(self, u: Mapping[str, Tensor], p: Views) -> Mapping[str, Tensor]:
+    def hold(self, u: Channels, p: Views) -> Channels:
         """Channels as they arrive after the delay; without one, or where that has been done before, as they are."""
         done, step = f"arrived{self.number}", f"step{self.number}"
         if self.delay is None or done in u:
@@ -266,9 +261,7 @@ class Drive:
             arrived[name] = part.held(p[key], history, u[step])
         return arrived
 
-    def command(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
-    ) -> Tensor:
+    def command(self, x: Rows, u: Channels, p: Views, *, network: bool = True) -> Tensor:
         """Effective command at the motor, ``(B,)``; without what a network adds where ``network`` is false."""
         key, part = self.input
         channels, angle, speed = self._seen(x, self.hold(u, p), p)
@@ -280,13 +273,11 @@ class Drive:
         added = self._added("input", x, u, p) if network else None
         return command if added is None else command + added
 
-    def _motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+    def _motion(self, x: Rows, p: Views) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] of the side that the input reads, ``(B,)`` each."""
         return self.link(x, p) if self.input[1].at_joint else (x[self.rotor], x[self.rotor + 1])
 
-    def _seen(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+    def _seen(self, x: Rows, u: Channels, p: Views) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """Channels, angle and speed as the input sees them, what the stages of a position loop do included."""
         part = self.input[1]
         channels = {name: u[f"{name}{self.number}"] for name in part.channels}
@@ -301,7 +292,7 @@ class Drive:
                     channels["integral"] = integral
         return channels, angle, speed
 
-    def starts(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> dict[int, Tensor]:
+    def starts(self, x: Rows, u: Channels, p: Views) -> dict[int, Tensor]:
         """By their rows, states of the position loop's stages after a long time at goal and speed."""
         key, part = self.input
         if not self.stages or not isinstance(part, ServoLoop):
@@ -310,7 +301,7 @@ class Drive:
         speed = self._motion(x, p)[1]
         return {row: stage.start(p[name], aim, speed) for name, stage, row in self.stages}
 
-    def torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def torque(self, x: Rows, u: Channels, p: Views) -> Tensor:
         """Torque on the rotor [N m], ``(B,)``."""
         torque = self.motor_torque(x, u, p)
         for key, part in self.torques:
@@ -318,14 +309,12 @@ class Drive:
         added = self._added("motor", x, u, p)
         return torque if added is None else torque + added
 
-    def current(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def current(self, x: Rows, u: Channels, p: Views) -> Tensor:
         """Winding current [A], ``(B,)``."""
         key, motor = self.motor
         return motor.current(p[key], self.motor_torque(x, u, p))
 
-    def motor_torque(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
-    ) -> Tensor:
+    def motor_torque(self, x: Rows, u: Channels, p: Views, *, network: bool = True) -> Tensor:
         """Torque of the motor alone; one that is switched off is an open circuit (no back-EMF)."""
         key, motor = self.motor
         torque = motor.torque(p[key], self.command(x, u, p, network=network), x[self.rotor + 1])
@@ -333,16 +322,14 @@ class Drive:
             torque = part.torque(p[key], torque, [x[row] for row in rows])
         return self._switched(torque, u)
 
-    def _added(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
+    def _added(self, place: str, x: Rows, u: Channels, p: Views) -> Tensor | None:
         return None if self.networks is None else self.networks.output(place, x, u, p)
 
-    def _switched(self, torque: Tensor, u: Mapping[str, Tensor]) -> Tensor:
+    def _switched(self, torque: Tensor, u: Channels) -> Tensor:
         enable = u.get(f"enable{self.number}")
         return torque if enable is None else torque * enable
 
-    def state_updates(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, StateUpdate]]:
+    def state_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
         found = self._loop_updates(x, u, p)
         if not self.windings:
@@ -357,9 +344,7 @@ class Drive:
             torque = part.torque(p[key], torque, states)
         return found
 
-    def _loop_updates(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, StateUpdate]]:
+    def _loop_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         key, part = self.input
         if not self.stages or not isinstance(part, ServoLoop):
             return []
@@ -470,9 +455,7 @@ class Joint:
                 return [row]
         return []
 
-    def dry_level(
-        self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]
-    ) -> Tensor:
+    def dry_level(self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Rows) -> Tensor:
         """Sum of the dry levels of a place, ``(B,)``, >= 0; under a bristle a trace more, which it divides by."""
         laws = self.frictions[place]
         level = sum_of([law.dry(p[key], magnitude, forward) for key, law in laws], magnitude)
@@ -484,14 +467,7 @@ class Joint:
         return level + 1e-12 if place in self.bristles else level
 
     def friction(
-        self,
-        place: str,
-        x: Sequence[Tensor],
-        u: Mapping[str, Tensor],
-        p: Views,
-        speed: Tensor,
-        magnitude: Tensor,
-        forward: Tensor,
+        self, place: str, x: Rows, u: Channels, p: Views, speed: Tensor, magnitude: Tensor, forward: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Smooth torque (bristles, networks included) and dry level of a place at its side's speed, ``(B,)`` each."""
         laws = self.frictions[place]
@@ -505,14 +481,7 @@ class Joint:
         return sum_of(terms, speed), level
 
     def balances(
-        self,
-        x: Sequence[Tensor],
-        u: Mapping[str, Tensor],
-        p: Views,
-        magnitudes: Sequence[Tensor],
-        forwards: Sequence[Tensor],
-        *,
-        transmitted: bool = False,
+        self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows, *, transmitted: bool = False
     ) -> list[SpeedBalance]:
         """Torque balance of each of the joint's speeds (one when rigid, two with a compliant gear).
 
@@ -598,7 +567,7 @@ class Joint:
                     "together; put it at motor_friction."
                 )
 
-    def link_load(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def link_load(self, x: Rows, u: Channels, p: Views) -> Tensor:
         """Torque of friction, loads and networks at the link of a coupled gear [N m], ``(B,)``."""
         angle, speed = self.link_motion(x, p)
         ahead = (speed > 0).to(speed.dtype)
@@ -606,7 +575,7 @@ class Joint:
             x, angle, speed, u, p
         )
 
-    def shaft_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+    def shaft_motion(self, x: Rows, p: Views) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] behind the joint's own gear: the link's, but for a coupled gear."""
         if not self.motors:
             return self.link_motion(x, p)
@@ -614,12 +583,7 @@ class Joint:
         return x[row] / self.gear_ratio, x[row + 1] / self.gear_ratio
 
     def link_torque(
-        self,
-        transmitted: Mapping[int, Tensor],
-        direction: Tensor | None,
-        x: Sequence[Tensor],
-        u: Mapping[str, Tensor],
-        p: Views,
+        self, transmitted: Mapping[int, Tensor], direction: Tensor | None, x: Rows, u: Channels, p: Views
     ) -> Tensor:
         """Torque that passes the gear to the link [N m], ``(B,)``; dry friction of a link at rest counts as none.
 
@@ -653,7 +617,7 @@ class Joint:
             "link_friction", p, speed.abs(), (direction > 0).to(speed.dtype), x
         )
 
-    def link_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+    def link_motion(self, x: Rows, p: Views) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] of the link, ``(B,)`` each."""
         if self.motors:
             angle, speed = (
@@ -666,14 +630,12 @@ class Joint:
         angle, slope, _ = self.gear.map(x[self.positions[0]], p)
         return angle, x[self.positions[0] + 1] * slope
 
-    def spring_torque(self, x: Sequence[Tensor], p: Views) -> Tensor:
+    def spring_torque(self, x: Rows, p: Views) -> Tensor:
         """Torque of a compliant gear's spring at the link [N m], ``(B,)``."""
         rotor, link = (x[row : row + 2] for row in self.positions)
         return self.gear.torque(rotor, link, self.inertia, p)
 
-    def state_updates(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, StateUpdate]]:
+    def state_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state that remembers, and how it goes on."""
         found = []
         for place, (key, law, rows) in self.bristles.items():
@@ -686,20 +648,18 @@ class Joint:
         found += self.drive.state_updates(x, u, p) + self.networks.state_updates(x, u, p)
         return found + self.sensing.state_updates(x, p)
 
-    def _load(
-        self, x: Sequence[Tensor], angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views
-    ) -> Tensor:
+    def _load(self, x: Rows, angle: Tensor, speed: Tensor, u: Channels, p: Views) -> Tensor:
         """Torque of the load at the link with a network's, ``(B,)``."""
         load, added = self.load_torque(angle, speed, u, p), self.networks.output("load", x, u, p)
         return load if added is None else load + added
 
-    def load_torque(self, angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def load_torque(self, angle: Tensor, speed: Tensor, u: Channels, p: Views) -> Tensor:
         """Torque of the load at the link, ``(B,)``."""
         logged = {name: u[f"{name}{self.number}"] for name in self.channels}
         torques = [part.torque(p[key], angle, speed) for key, part in self.loads]
         return sum_of([*torques, *(part.torque(p[key], logged) for key, part in self.logged)], angle)
 
-    def output(self, channel: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def output(self, channel: str, x: Rows, u: Channels, p: Views) -> Tensor:
         """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""
         row, seen = self.positions[0], 0.0
         if channel in ("q_m", "v_m"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import torch
@@ -13,11 +12,11 @@ from torch import Tensor
 from hybrid_id.components.base import Component, StateUpdate
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
+from hybrid_id.systems.balance import Channels, Rows, Views
 
 if TYPE_CHECKING:
     from hybrid_id.systems.joint import Joint
 
-Views = Mapping[str, SimpleNamespace]
 
 LINK_PLACES = ("link_friction", "load")
 SIGNALS = (
@@ -63,31 +62,28 @@ class Networks:
         for key, part in parts.items():
             if isinstance(part, ResidualNetwork):
                 place, row = key.split("/")[1], first_row + len(self.state_names)
-                self._check(place, part)
+                rigid, where = self.joint.rigid, f"{self.joint.name}/{place}"
+                if place == "transmission" and rigid:
+                    raise InputError(
+                        f"A rigid gear has no spring torque to which {part.kind} at '{where}' could add; "
+                        "put it at motor_friction, or make the gear compliant."
+                    )
+                known = SIGNALS[: 7 if rigid else None]
+                known = tuple(s for s in known if not (place == "input" and s == "torque"))
+                for name in part.inputs:
+                    if name not in known and not HARMONIC.fullmatch(name) and not OF_JOINT.fullmatch(name):
+                        raise InputError(
+                            f"{part.kind} at '{where}' has no input '{name}'{close_match(name, known)}; it knows "
+                            f"{', '.join(known)}, sin n, cos n, "
+                            "and angle and speed with a joint's number."
+                        )
+                    if (match := HARMONIC.fullmatch(name)) and not float(match[2]):
+                        raise InputError(
+                            f"{part.kind} at '{where}' has the input '{name}', which is the same at every angle; "
+                            "give a number above 0."
+                        )
                 self.by_place[place] = (key, part, range(row, row + part.memory))
                 self.state_names += [f"{name}_{place}{joint.number}" for name in part.states]
-
-    def _check(self, place: str, part: ResidualNetwork) -> None:
-        rigid, where = self.joint.rigid, f"{self.joint.name}/{place}"
-        if place == "transmission" and rigid:
-            raise InputError(
-                f"A rigid gear has no spring torque to which {part.kind} at '{where}' could add; "
-                "put it at motor_friction, or make the gear compliant."
-            )
-        known = SIGNALS[: 7 if rigid else None]
-        known = tuple(s for s in known if not (place == "input" and s == "torque"))
-        for name in part.inputs:
-            if name not in known and not HARMONIC.fullmatch(name) and not OF_JOINT.fullmatch(name):
-                raise InputError(
-                    f"{part.kind} at '{where}' has no input '{name}'{close_match(name, known)}; it knows "
-                    f"{', '.join(known)}, sin n, cos n, "
-                    "and angle and speed with a joint's number."
-                )
-            if (match := HARMONIC.fullmatch(name)) and not float(match[2]):
-                raise InputError(
-                    f"{part.kind} at '{where}' has the input '{name}', which is the same at every angle; "
-                    "give a number above 0."
-                )
 
     def connect(self, joints: Sequence[Joint]) -> None:
         """Let the networks read the motion of all joints; an InputError where one reads a joint that is not there."""
@@ -101,17 +97,13 @@ class Networks:
                         f"there; the last one is {joints[-1].name}."
                     )
 
-    def signals(
-        self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> tuple[list[Tensor], list[Tensor]]:
+    def signals(self, place: str, x: Rows, u: Channels, p: Views) -> tuple[list[Tensor], list[Tensor]]:
         """Inputs in their units and hidden states of the network in a place, ``(B,)`` each."""
         _, part, rows = self.by_place[place]
         inputs = [self._signal(name, place, x, u, p) for name in part.inputs]
         return inputs, [x[row] for row in rows]
 
-    def _signal(
-        self, name: str, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> Tensor:
+    def _signal(self, name: str, place: str, x: Rows, u: Channels, p: Views) -> Tensor:
         joint = self.joint
         at_link = place in LINK_PLACES
         if match := HARMONIC.fullmatch(name):
@@ -134,7 +126,7 @@ class Networks:
         row = joint.positions[0]
         return joint.gear.deflection(x[row : row + 2], (angle, speed), p)[name == "deflection_rate"]
 
-    def _transmitted(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def _transmitted(self, x: Rows, u: Channels, p: Views) -> Tensor:
         """Torque through the gear at the link, ``load + J_link a`` where the gear is rigid, ``(B,)``."""
         joint = self.joint
         if not joint.rigid:
@@ -154,20 +146,18 @@ class Networks:
         return load + link * slope * acceleration
 
     @staticmethod
-    def _motion(joint: Joint, x: Sequence[Tensor], p: Views, at_link: bool, order: int) -> Tensor:
+    def _motion(joint: Joint, x: Rows, p: Views, at_link: bool, order: int) -> Tensor:
         """Angle (order 0) or speed (1) of the rotor or the link."""
         return joint.link_motion(x, p)[order] if at_link else x[joint.positions[0] + order]
 
-    def output(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
+    def output(self, place: str, x: Rows, u: Channels, p: Views) -> Tensor | None:
         """What the network in a place adds there, ``(B,)`` in the place's unit; None where there is none."""
         if place not in self.by_place:
             return None
         key, part, _ = self.by_place[place]
         return part.output(p[key], *self.signals(place, x, u, p))
 
-    def state_updates(
-        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, StateUpdate]]:
+    def state_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each hidden state, and how it goes on."""
         found = []
         for place, (key, part, rows) in self.by_place.items():

@@ -242,33 +242,29 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
         model.ask(
             f"Where are {', '.join(placeholders)} from? They are placeholders: the logs' acceleration gives no start."
         )
-    _weight(model, drive, start, ratio)
-    return model
-
-
-def _weight(model: ProposedModel, drive: DriveFacts, start: _Start, ratio: float) -> None:
-    """Gravity where the acceleration follows the angle's sine and cosine; asked about either way."""
+    # gravity where the acceleration follows the angle's sine and cosine; asked about either way
     fit, line = drive.fit, "gravity: vertical   # and G_l: {nominal: 1.0, unit: N m}"
     if fit is None or not fit.gravity:
         model.ask("Does gravity act on the joint? None is assumed.", line)
-        return
-    pull = f"{fit.gravity:.3g} rad/s^2 of the acceleration follow sine and cosine of the angle"
-    if drive.side == "m" and ratio != 1.0:  # the fit has taken the motor's angle for the joint's
-        model.ask("Does gravity act on the joint? None is assumed.", line)
-    elif _trusted(fit) is None or fit.weight < WEIGHS:
-        model.ask(f"Does gravity act on the joint? None is assumed, {pull}.", line)
     else:
-        why = f"{pull}, and explain {100 * fit.weight:.0f} % of its variance that nothing else does"
-        model.values["gravity"], model.why["gravity"] = "vertical", why
-        model.values["parameters"] = model.values.pop("parameters")  # behind it
-        load = _entry(fit.gravity * start.values["J"] * ratio**2, "N m")
-        hang = {"nominal": _digits(fit.hang), "unit": "rad", "estimate": True}
-        for name, entry in (("G_l", load), ("q_0", hang)):
-            model.values["parameters"][name], model.why[f"parameters.{name}"] = (
-                entry,
-                "fit of the logs' acceleration",
-            )
-        model.ask("Is it gravity that pulls at the joint? A spring does so, too; 'diagnose' parts them.")
+        pull = f"{fit.gravity:.3g} rad/s^2 of the acceleration follow sine and cosine of the angle"
+        if drive.side == "m" and ratio != 1.0:  # the fit has taken the motor's angle for the joint's
+            model.ask("Does gravity act on the joint? None is assumed.", line)
+        elif _trusted(fit) is None or fit.weight < WEIGHS:
+            model.ask(f"Does gravity act on the joint? None is assumed, {pull}.", line)
+        else:
+            why = f"{pull}, and explain {100 * fit.weight:.0f} % of its variance that nothing else does"
+            model.values["gravity"], model.why["gravity"] = "vertical", why
+            model.values["parameters"] = model.values.pop("parameters")  # behind it
+            load = _entry(fit.gravity * start.values["J"] * ratio**2, "N m")
+            hang = {"nominal": _digits(fit.hang), "unit": "rad", "estimate": True}
+            for name, entry in (("G_l", load), ("q_0", hang)):
+                model.values["parameters"][name], model.why[f"parameters.{name}"] = (
+                    entry,
+                    "fit of the logs' acceleration",
+                )
+            model.ask("Is it gravity that pulls at the joint? A spring does so, too; 'diagnose' parts them.")
+    return model
 
 
 def _robot(

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from torch import Tensor
 
-from hybrid_id.components.base import Attached, Counterpart, Effect
+from hybrid_id.components.base import Attached, Effect
 from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
@@ -28,6 +28,7 @@ class FloorContact(Attached):
     """
 
     kind = "floor_contact"
+    left_out = "is left out, a plane in the description does it"
     z_f = Parameter(0.0, lower=-100.0, upper=100.0, unit="m", doc="height of the floor")
     k_f = Parameter(1e3, upper=1e8, unit="N/m", doc="stiffness of the contact")
     effect = Effect(
@@ -63,7 +64,3 @@ class FloorContact(Attached):
             {"point": site.tip.name, "z_f": free(lowest + share * reach, lowest, highest), "k_f": k_f}
             for share in (0.1, 0.3)
         ]
-
-    def mjcf(self, p: SimpleNamespace) -> Counterpart:
-        """Nothing: contacts belong to the description."""
-        return {}, "is left out, a plane in the description does it"

@@ -16,11 +16,9 @@ class LoggedLoad(LoggedTorque):
     """
 
     kind = "logged_load"
+    left_out = "is left out, apply the logged torque through qfrc_applied"
     channels = ("w",)
     c_w = Parameter(1.0, lower=-1e6, upper=1e6, unit="N m", doc="torque per unit of the logged channel")
 
     def torque(self, p, channels):
         return p.c_w * channels["w"]
-
-    def mjcf(self, p):
-        return {}, "is left out, apply the logged torque through qfrc_applied"

@@ -29,6 +29,7 @@ class KinematicError(Component):
     """
 
     kind = "kinematic_error"
+    left_out = "is left out, MuJoCo's gears have a constant ratio"
     places = ("transmission",)
     E_c = Parameter(1e-4, lower=-1.0, upper=1.0, unit="rad", doc="amplitude of the cosine at the link")
     E_s = Parameter(1e-4, lower=-1.0, upper=1.0, unit="rad", doc="amplitude of the sine at the link")
@@ -70,9 +71,6 @@ class KinematicError(Component):
 
     def further(self, searches):
         return second_wave(self, searches["gear_waves"], ("E_c2", "E_s2"), 1.5)
-
-    def mjcf(self, p):
-        return {}, "is left out, MuJoCo's gears have a constant ratio"
 
 
 def _wave(E_c, E_s, n, angle):

@@ -121,41 +121,36 @@ def _opened(path: Path) -> Iterator[tuple[list[Any], dict[str, str]]]:
             f"{path}: reading a ROS bag needs rosbags; install it with pip install 'hybrid_id[logs]'."
         ) from None
     with parsing(path, "bag", "record or copy it again, or recover its index"), ExitStack() as stack:
-        readers = _open(path, stack)
-        yield readers, {c.topic: c.msgtype for reader in readers for c in reader.connections}
+        # open every storage file of a bag
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
 
-
-def _open(path: Path, stack: ExitStack) -> list[Any]:
-    """Open every storage file of a bag."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-
-    files = [path]
-    if path.is_dir():
-        files = sorted(
-            (file for file in path.iterdir() if _STORAGES.search(file.name)),
-            key=lambda file: natural_order(file.name),
-        )
-        if not files:
-            raise InputError(f"{path} is a folder without .mcap or .db3 files; name a ROS 2 bag's folder")
-    readers = []
-    for file in files:
-        size_of(file)
-        if file.suffix == ".zstd":
-            folder = Path(stack.enter_context(TemporaryDirectory()))
-            (folder / file.stem).write_bytes(_zstd().decompress(file.read_bytes()))
-            file = folder / file.stem
-        kind = file.suffix.lower()
-        if kind not in (".bag", ".mcap", ".db3"):
-            raise InputError(
-                f"{path} is no bag that is read; give a .bag, .mcap or .db3 file, or a ROS 2 bag's folder"
+        files = [path]
+        if path.is_dir():
+            files = sorted(
+                (file for file in path.iterdir() if _STORAGES.search(file.name)),
+                key=lambda file: natural_order(file.name),
             )
-        if kind == ".db3":
-            _refuse_code(file, path)
-        reader = (Reader1 if kind == ".bag" else Reader2)(file)
-        stack.enter_context(reader)
-        readers.append(reader)
-    return readers
+            if not files:
+                raise InputError(f"{path} is a folder without .mcap or .db3 files; name a ROS 2 bag's folder")
+        readers = []
+        for file in files:
+            size_of(file)
+            if file.suffix == ".zstd":
+                folder = Path(stack.enter_context(TemporaryDirectory()))
+                (folder / file.stem).write_bytes(_zstd().decompress(file.read_bytes()))
+                file = folder / file.stem
+            kind = file.suffix.lower()
+            if kind not in (".bag", ".mcap", ".db3"):
+                raise InputError(
+                    f"{path} is no bag that is read; give a .bag, .mcap or .db3 file, or a ROS 2 bag's folder"
+                )
+            if kind == ".db3":
+                _refuse_code(file, path)
+            reader = (Reader1 if kind == ".bag" else Reader2)(file)
+            stack.enter_context(reader)
+            readers.append(reader)
+        yield readers, {c.topic: c.msgtype for reader in readers for c in reader.connections}
 
 
 def _refuse_code(file: Path, bag: Path) -> None:
@@ -202,30 +197,29 @@ def _topics(path: Path, wanted: Collection[str], kinds: Mapping[str, str]) -> "d
             )
         place = topics.setdefault(topic, _Topic(topic, kinds[topic]))
         if name != topic:
-            place.columns[name] = _column(path, name, name[len(topic) + 1 :].split("/", 2), kinds[topic])
+            # see what a column's name asks of a message
+            parts = name[len(topic) + 1 :].split("/", 2)
+            kind = kinds[topic]
+            if kind == NUMBER and parts == ["data"]:
+                place.columns[name] = _Column(("data",), "")
+            elif kind == ARRAY and len(parts) == 2 and parts[0] == "data":
+                place.columns[name] = _Column(("data",), parts[1])
+            elif kind == JOINT_STATE and len(parts) >= 2 and parts[0] in ("position", "velocity", "effort"):
+                place.columns[name] = _Column((parts[0],), "/".join(parts[1:]))
+            elif kind == CONTROLLER and len(parts) == 3 and parts[1] in _POINT_FIELDS:
+                place.columns[name] = _Column((parts[0], parts[1]), parts[2])
+            else:
+                forms = {
+                    NUMBER: "/data",
+                    ARRAY: "/data/0",
+                    JOINT_STATE: "/position/JOINT, /velocity/JOINT and /effort/JOINT",
+                    CONTROLLER: "/feedback/positions/JOINT and the like",
+                }
+                raise InputError(
+                    f"{path}: column '{name}' is none of a {_short(kind)}, whose columns are the topic's name and "
+                    f"{forms[kind]}; name one of them under 'columns' in the dataset file"
+                )
     return topics
-
-
-def _column(path: Path, name: str, parts: list[str], kind: str) -> "_Column":
-    """See what a column's name asks of a message."""
-    if kind == NUMBER and parts == ["data"]:
-        return _Column(("data",), "")
-    if kind == ARRAY and len(parts) == 2 and parts[0] == "data":
-        return _Column(("data",), parts[1])
-    if kind == JOINT_STATE and len(parts) >= 2 and parts[0] in ("position", "velocity", "effort"):
-        return _Column((parts[0],), "/".join(parts[1:]))
-    if kind == CONTROLLER and len(parts) == 3 and parts[1] in _POINT_FIELDS:
-        return _Column((parts[0], parts[1]), parts[2])
-    forms = {
-        NUMBER: "/data",
-        ARRAY: "/data/0",
-        JOINT_STATE: "/position/JOINT, /velocity/JOINT and /effort/JOINT",
-        CONTROLLER: "/feedback/positions/JOINT and the like",
-    }
-    raise InputError(
-        f"{path}: column '{name}' is none of a {_short(kind)}, whose columns are the topic's name and {forms[kind]}; "
-        "name one of them under 'columns' in the dataset file"
-    )
 
 
 @dataclass
