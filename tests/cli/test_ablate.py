@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -213,19 +212,6 @@ def test_what_the_records_are_too_short_for_is_said(run, plain: Path, cells: Cel
     assert "no short free runs of 0.5 s ('ablation.horizon')" in shown.err
 
 
-def test_one_repeat_is_said_without_nan(run, study: Path, cells: Cells, tmp_path: Path) -> None:
-    study.write_text(study.read_text().replace("seeds: 3", "seeds: 1") + "output: {tensorboard: false}\n")
-    shown = run("ablate", study, "--out", tmp_path / "out")
-    text = (tmp_path / "out" / "ablation.json").read_text()
-    assert (
-        shown.code == 0
-        and "(one repeat, no interval)" in shown.out
-        and not (tmp_path / "out" / "tensorboard").exists()
-    )
-    assert not {"nan", "NaN"} & set(re.findall(r"\w+", shown.out + text))
-    assert json.loads(text)["arms"][1]["log_ratio_to_physics"]["test"]["upper"] is None
-
-
 def test_tensorboard_shows_the_plan_of_today(run, study: Path, cells: Cells, tmp_path: Path) -> None:
     out, text = tmp_path / "out", study.read_text().replace("seeds: 3", "seeds: 3, width: [8]")
     study.write_text(text)
@@ -240,12 +226,3 @@ def test_tensorboard_shows_the_plan_of_today(run, study: Path, cells: Cells, tmp
     study.write_text(text)
     assert run("ablate", study, "--out", out).code == 0 and cells.again() == []
     assert len([p for p in (out / "tensorboard").iterdir() if "8-wide" in p.name]) == 6
-
-
-def test_a_picture_of_nothing_is_left_out(run, study: Path, cells: Cells, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert run("ablate", study, "--out", out).code == 0 and (out / "change.png").exists()
-    study.write_text(study.read_text().replace("[static, black_box], physics: [[F_v]]", "[]"))
-    shown = run("ablate", study, "--out", out)
-    assert shown.code == 0 and "UserWarning" not in shown.err
-    assert (out / "errors.png").exists() and not (out / "change.png").exists()

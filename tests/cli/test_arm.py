@@ -20,7 +20,6 @@ from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.machines import desk_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
@@ -332,23 +331,3 @@ def test_check_takes_a_joint_by_itself(run, arm: Path, tmp_path: Path) -> None:
         joint_alone(replace(data, records=tuple(still)), arm / "model.yaml", arm, "tip")
     with pytest.raises(InputError, match="--joint needs the robot's model"):
         joint_alone(data, None, arm, "tip")
-
-
-def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(
-    run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(desk_arm, "LENGTH", 2.0)
-    done = run("demo", "--robot", "--out", tmp_path / "demo", "--json")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
-    monkeypatch.setattr(desk_arm, "LENGTH", 0.1)  # values are drawn before motions
-    truth = desk_arm.write_arm(tmp_path / "again")[1]
-    names, estimates = found["parameters"], found["sets"][0]["values"]
-    errors = [found["reliability"][name]["std_error_of_mean"] for name in names]
-    assert len(names) == 26
-    for name, value, error in zip(names, estimates, errors, strict=True):
-        assert abs(value - truth[name]) < max(4.0 * error, 0.03 * truth[name]), name
-    assert (tmp_path / "demo" / "truth.png").exists()
-    assert load_model(tmp_path / "demo" / "model.yaml").tree is not None  # its description came along
-    refused = run("demo", "--robot", "--settings", tmp_path / "twin.yaml", "--out", tmp_path / "other")
-    assert refused.code == 2 and "--settings belongs to the drive" in refused.err

@@ -142,12 +142,6 @@ def test_ctrl_c_keeps_what_is_done(
     assert not (tmp_path / "fleet" / "fleet.json").exists()
 
 
-def test_processes_come_to_the_same(robots: Path, result: Path, run: type, tmp_path: Path) -> None:
-    said = run("fleet", robots, "--out", tmp_path / "fleet", "--json", "--jobs", 2)
-    before = json.loads((result / "fleet.json").read_text())["parameters"]
-    assert said.code == 0 and json.loads(said.out)["parameters"] == before
-
-
 def test_wrong_folders_are_refused_in_a_sentence(robots: Path, run: type, tmp_path: Path) -> None:
     def copy(name: str, but: str = "robot_6") -> Path:
         shutil.copytree(robots, tmp_path / name, ignore=shutil.ignore_patterns(but))

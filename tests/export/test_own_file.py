@@ -202,20 +202,6 @@ def test_angles_are_in_the_unit_that_an_included_file_gives(tmp_path: Path) -> N
     assert float(model.qpos_spring[1]) == pytest.approx(0.3)
 
 
-def test_a_urdf_of_which_mujoco_makes_no_mjcf_is_refused(tmp_path: Path) -> None:
-    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    joint = (
-        '<joint name="{}" type="continuous"><parent link="{}"/><child link="{}"/><axis xyz="0 1 0"/></joint>'
-    )
-    (tmp_path / "arm.urdf").write_text(
-        f'<robot name="r"><link name="base"/><link name="l1">{body}</link><link name="l2"/>'
-        f"{joint.format('j1', 'base', 'l1')}{joint.format('j2', 'l1', 'l2')}</robot>"
-    )
-    (tmp_path / "model.yaml").write_text("robot: {file: arm.urdf}\n")
-    with pytest.raises(InputError, match=r"arm.urdf: MuJoCo makes no MJCF of it \(.*mass and inertia.*'l2'"):
-        to_mjcf(load_model(tmp_path / "model.yaml"))
-
-
 def test_the_base_of_a_urdf_does_not_touch_the_first_link(tmp_path: Path) -> None:
     """Links that a joint connects do not touch; MuJoCo makes the base a part of the world, which touches all."""
     body = '<inertial><mass value="0.4"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -230,14 +216,6 @@ def test_the_base_of_a_urdf_does_not_touch_the_first_link(tmp_path: Path) -> Non
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert data.ncon == 0
-
-
-def test_what_holds_already_stays_as_it_is(tmp_path: Path) -> None:
-    motors = '<motor name="servo" joint="lift"/><general name="other" joint="elbow" gear="2" gainprm="0.5"/>'
-    text = re.sub("<position.*/>", motors, ARM).replace(' frictionloss="0.05"', "")
-    exported = to_mjcf(arm(tmp_path, text=text))
-    assert changed(text, exported.text).keys() == {"<!--"}
-    assert exported.notes == () and exported.motors == ("servo", "other")
 
 
 @pytest.mark.parametrize("element", ["position", "general", "motor"])
@@ -294,18 +272,6 @@ def test_a_servo_by_name_leaves_class_and_goals_of_the_actuators(tmp_path: Path)
     assert len(before) == len(after) == 6
     for old, new in zip(before, after, strict=True):
         assert {name for name in old | new if old.get(name) != new.get(name)} == {"kp", "kv", "forcerange"}
-
-
-def test_limits_that_a_drive_lacks_are_switched_off_in_place(tmp_path: Path) -> None:
-    own = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 50"
-    kept = to_mjcf(arm(tmp_path, "robot: {file: arm.xml}\n" + own + "}}]\n"))
-    assert '<position name="servo" joint="lift" kp="50" ctrlrange="-90 90"/>' in kept.text
-    own += ", goal_min: -1e+4, goal_max: 1e+4}}]\n"
-    exported = to_mjcf(arm(tmp_path, "robot: {file: arm.xml}\n" + own))
-    assert (
-        '<position name="servo" joint="lift" kp="50" ctrlrange="-90 90" ctrllimited="false"/>'
-        in exported.text
-    )
 
 
 def test_a_goal_that_is_limited_on_one_side_is_limited_there(tmp_path: Path) -> None:
@@ -531,23 +497,6 @@ def test_an_included_joint_is_refused_and_an_included_rest_is_kept(tmp_path: Pat
     exported = to_mjcf(arm(tmp_path, text=text))
     assert exported.home == tmp_path.resolve() and '<include file="floor.xml"/>' in exported.text
     assert mujoco_model(exported).ngeom == 1
-
-
-def test_a_name_that_a_drive_needs_and_something_else_has(tmp_path: Path) -> None:
-    text = ARM.replace("</actuator>", '<motor name="motor_elbow" site="tip"/></actuator>')
-    text = text.replace('<joint name="elbow"', '<site name="tip"/><joint name="elbow"')
-    with pytest.raises(
-        InputError, match=r"MuJoCo does not take it .*repeated name 'motor_elbow'.*; rename or take"
-    ):
-        to_mjcf(arm(tmp_path, text=text))
-
-
-def test_a_tree_without_a_file_has_nothing_to_edit(tmp_path: Path) -> None:
-    system = arm(tmp_path)
-    assert system.tree is not None
-    system.tree = replace(system.tree, source="")
-    with pytest.raises(InputError, match="read from no file"):
-        to_mjcf(system)
 
 
 COUPLED = """

@@ -1,7 +1,6 @@
 # pyright: reportCallIssue=false
 import gzip
 import json
-import os
 
 import numpy as np
 import pandas as pd
@@ -82,12 +81,6 @@ def test_dates_have_no_unit_of_their_own(tmp_path) -> None:
     (tmp_path / "dataset.yaml").write_text(text + "columns: {t: {column: clock, unit: ms}}\n")
     with pytest.raises(InputError, match="column 'clock' holds dates, which are read as seconds; leave out"):
         Dataset.load(tmp_path)
-
-
-def test_a_pipe_is_no_record(tmp_path) -> None:
-    os.mkfifo(tmp_path / "a.csv")
-    with pytest.raises(InputError, match="is a pipe or a device"):
-        load_any(tmp_path / "a.csv", ["u1"])
 
 
 def test_emps_layout_needs_no_column_map(tmp_path) -> None:

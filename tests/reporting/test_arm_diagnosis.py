@@ -21,15 +21,6 @@ def cells(found: ArmDiagnosis) -> dict[str, list[str]]:
     return {str(c.header): [str(cell) for cell in c.cells] for c in joints_table(found).columns}
 
 
-def test_each_model_has_a_column_of_errors_of_its_own(found: ArmDiagnosis) -> None:
-    shown = cells(found)
-    heads = ["RMSE nominal (rad)", "RMSE re-fitted (rad)", "RMSE corrected (rad)"]
-    assert list(shown)[-3:] == heads
-    row = shown["joint"].index("elbow")
-    nominal, refitted, corrected = (float(shown[head][row]) for head in heads)
-    assert nominal > refitted > corrected
-
-
 def with_share(found: ArmDiagnosis, share: float) -> ArmDiagnosis:
     """The same with a further effect selected at the elbow, which explains some share of that joint's gap."""
     elbow = found.joints["elbow"]
@@ -74,11 +65,6 @@ def test_where_records_differ_a_joint_is_said_to_lack_nothing(found: ArmDiagnosi
         said = " ".join(remark_lines(robot))
         assert ("values differ from record to record" in said) == bool(varying)
         assert ("values differ from record to record" in "".join(cells(robot)["lacks"])) == bool(varying)
-
-
-def test_the_robots_page_has_the_records_of_all_joints(mended_arm, found: ArmDiagnosis) -> None:
-    assert found.dataset is mended_arm[0] and found.case == "arm"
-    assert len(found.dataset.outputs) == 3 and len(found.joints["pan"].details.dataset.outputs) == 1
 
 
 def test_what_acts_on_all_joints_has_its_size_at_each_that_has_it(found: ArmDiagnosis) -> None:
