@@ -207,32 +207,20 @@ def npz() -> Files:
     return written(lambda path: np.savez_compressed(path, allow_pickle=False, **table()), "a.npz")
 
 
-def bag(ending: str) -> Files:
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores, get_typestore
+def bag(kind: str) -> Files:
+    from bags import number, write_bag
 
-    found: Files = {}
+    ros1 = kind == "ros1"
     with tempfile.TemporaryDirectory() as folder:
-        place, kind = Path(folder) / f"b{'.bag' * (ending == 'bag')}", "std_msgs/msg/Float64"
-        store = get_typestore(Stores.ROS1_NOETIC if ending == "bag" else Stores.ROS2_HUMBLE)
-        plugin = {"mcap": StoragePlugin.MCAP, "db3": StoragePlugin.SQLITE3}.get(ending)
-        writer = Writer1(place) if plugin is None else Writer2(place, version=9, storage_plugin=plugin)
-        with writer:
-            for topic in ("/u", "/q"):
-                link = writer.add_connection(topic, kind, typestore=store)
-                for k, value in enumerate(table()["u1"]):
-                    message = store.types[kind](data=float(value))
-                    raw = (
-                        store.serialize_ros1(message, kind)
-                        if plugin is None
-                        else store.serialize_cdr(message, kind)
-                    )
-                    writer.write(link, 10**9 + 2_000_000 * k, raw)  # type: ignore[arg-type]
-        for path in [place] if place.is_file() else sorted(place.iterdir(), reverse=True):
-            found[path.name if place.is_file() else f"b/{path.name}"] = path.read_bytes()
-    return dict(sorted(found.items(), key=lambda pair: not pair[0].endswith(ending)))
+        place = Path(folder) / ("b.bag" if ros1 else "b")
+        messages = [
+            (topic, 10**9 + 2_000_000 * k, number(value, ros1))
+            for topic in ("/u", "/q")
+            for k, value in enumerate(table()["u1"])
+        ]
+        write_bag(place, messages, kind=kind)
+        files = [place] if ros1 else sorted(place.iterdir(), key=lambda path: path.suffix == ".yaml")
+        return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def bam() -> bytes:
@@ -469,9 +457,9 @@ TARGETS: dict[str, Target] = {
     "mat 7.3": Target(hdf5, record("a.mat", "mat")),
     "npz": Target(npz, record("a.npz", "npz")),
     "bam": Target(lambda: {"a.json": bam()}, record("a.json", "bam", ("t", "q_m1", "duty1"))),
-    "bag": Target(lambda: bag("bag"), record("b.bag", "bag", ("/u/data", "/q/data"))),
+    "bag": Target(lambda: bag("ros1"), record("b.bag", "bag", ("/u/data", "/q/data"))),
     "mcap": Target(lambda: bag("mcap"), record("b", "bag", ("/u/data", "/q/data"))),
-    "db3": Target(lambda: bag("db3"), record("b", "bag", ("/u/data", "/q/data"))),
+    "db3": Target(lambda: bag("sqlite3"), record("b", "bag", ("/u/data", "/q/data"))),
     "lerobot": Target(
         lerobot, record("data/chunk-000/file-000.parquet", "lerobot", ("action/0", "observation.state/0"))
     ),
