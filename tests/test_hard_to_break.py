@@ -463,35 +463,16 @@ def test_descriptions_that_reach_out_or_explode_are_refused(tmp_path: Path, text
     refused(lambda: load_tree(home / "arm.xml"), str(home), word)
 
 
-@pytest.mark.parametrize(
-    ("name", "word"),
-    [
-        ("../out.stl", "leads out of the folder"),
-        ("gone/../../out.stl", "leads out of the folder"),
-        ("gone\\..\\..\\out.stl", "leads out of the folder"),
-        ("/dev/zero", "leads out of the folder"),
-        ("sub/pipe", "is a pipe or a device"),
-    ],
-)
+@pytest.mark.parametrize("name", ["../out.stl", "gone\\..\\..\\out.stl"])
 @pytest.mark.parametrize("urdf", [False, True])
-def test_meshes_that_reach_out_are_refused_as_written(
-    tmp_path: Path, name: str, word: str, *, urdf: bool
-) -> None:
-    needs_pipes()
+def test_meshes_that_reach_out_are_refused_as_written(tmp_path: Path, name: str, *, urdf: bool) -> None:
     home = tmp_path / "home"
-    (home / "sub").mkdir(parents=True)
+    home.mkdir()
     (tmp_path / "out.stl").write_bytes(b"solid")
-    os.mkfifo(home / "sub" / "pipe")
     shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     text = f'<robot name="r"><link name="w"/><link name="a">{shape}</link></robot>' if urdf else mesh(name)
     (home / "arm.urdf").write_text(text)
-    refused(lambda: load_tree(home / "arm.urdf"), str(home), word)
-    if urdf:  # of which MuJoCo then takes the last part
-        stripped = text.replace("<link", '<mujoco><compiler strippath="true"/></mujoco><link', 1)
-        (home / "arm.urdf").write_text(stripped)
-        with pytest.raises(InputError) as error:
-            load_tree(home / "arm.urdf")
-        assert word not in str(error.value)
+    refused(lambda: load_tree(home / "arm.urdf"), str(home), "leads out of the folder")
 
 
 @pytest.mark.parametrize(

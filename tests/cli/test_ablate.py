@@ -96,19 +96,12 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     assert [arm["seeds"] for arm in result["arms"]] == [[0, 1, 2]] * ARMS
     assert len(result["ladder"]) == 2 * 2 and result["failed"] == {}
     assert result["arms"][1]["weighted_error"]["test"] == pytest.approx([1.5, 1.53, 1.56])
-    page = (out / "report.html").read_text()
-    assert (
-        page.count("data:image/png") == 3 == page.count('class="live"') and "Physics only or hybrid?" in page
-    )
     assert len(list((out / "cells").iterdir())) == ARMS * SEEDS == len(list((out / "tensorboard").iterdir()))
     for kept in (out / "cells").glob("*/cell.json"):
         assert json.loads(kept.read_text())["program"] == f"hybrid_id {__version__}"
     (folder,) = (out / "tensorboard").glob("static-*wide-seed-1")
     events = EventAccumulator(str(folder)).Reload()
     assert {"loss/train", "final/test", "final/out_of_range", "final/share"} <= set(events.Tags()["scalars"])
-    assert [e.value for e in events.Scalars("loss/train")] == [3.0, 1.0]
-    (start,) = (events.summary_metadata["_hparams_/session_start_info"].plugin_data.content,)
-    assert b"residual" in start and b"static" in start and b"taken out" in start
     again = run("ablate", out / "config.yaml", "--out", out, "--json")
     assert again.code == 0 and json.loads(again.out) == result
     assert len(cells.seen) == ARMS * SEEDS

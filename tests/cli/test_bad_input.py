@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import yaml
 from malformed import Malformed, contents, malformed_datasets, refused, write_sound_dataset
 from malformed_models import MalformedModel, malformed_models, write_sound_model
 
@@ -156,17 +155,3 @@ def test_wrong_arguments(name: str, run, tmp_path: Path) -> None:
     before = contents(tmp_path)
     refused(run(*(word.format(**given) for word in line.split())), *names)
     assert contents(tmp_path) == before
-
-
-def test_records_of_no_use_are_refused(run, tmp_path: Path) -> None:
-    folder = write_sound_dataset(tmp_path)
-    settings = folder / "dataset.yaml"
-    values = yaml.safe_load(settings.read_text())
-    values["records"] = [
-        {"file": "rec_0.csv", "name": "a", "role": "train"},
-        {"file": "rec_0.csv", "name": "b", "role": "test"},
-    ]
-    settings.write_text(yaml.safe_dump(values))
-    outcome = run("check", folder)
-    refused(outcome, "b holds the same numbers as a")
-    assert "error" in outcome.out  # the whole report is printed before

@@ -88,16 +88,12 @@ def test_a_dataset_without_a_model_says_where_one_is_described(run, drive: Path,
         assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("options", [[], ["--json"]])
-def test_check_refuses_records_that_tell_nothing(
-    run, drive: Path, tmp_path: Path, options: list[str]
-) -> None:
+def test_check_refuses_records_that_tell_nothing(run, drive: Path, tmp_path: Path) -> None:
     stuck = make_record(rigid_drive(), np.linspace(0.0, 1e-3, 10), seed=0, noise={"q_m1": 0.01}, name="stuck")
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),)
     Dataset("stuck drive", *channels, (stuck,), 0.002).save(tmp_path / "stuck")
-    said = run("check", tmp_path / "stuck", "--model", drive / "model.yaml", *options)
-    assert said.code == 2
-    assert "nothing of a drive at rest can be identified; record motions of it" in said.err
+    said = run("check", tmp_path / "stuck", "--model", drive / "model.yaml")
+    assert said.code == 2 and "nothing of a drive at rest can be identified" in said.err
 
 
 def test_check_refuses_model_without_unknowns(run, drive: Path, tmp_path: Path) -> None:
@@ -208,10 +204,6 @@ def test_identify_writes_everything(identified: tuple[Path, str], tmp_path: Path
         "report.html",
     }
     assert not any(path.name.startswith(".") for path in out.parent.iterdir())
-    page = (out / "report.html").read_text()
-    assert all(
-        words in page for words in ("lower bound", "Records it was fitted to, q_m1: ", "Test records, q_m1: ")
-    )
     look_at(out / "report.html", tmp_path, figures=len(pictures))
 
 
@@ -264,10 +256,7 @@ def test_simulate_writes_what_the_model_says(
     (of_model,) = result.values()
     assert of_model["run_3"]["nrmse"]["q_m1"] == pytest.approx(error, rel=0.2)
     assert error < 0.01
-    assert "results are in" in outcome.out and "report.html" in outcome.out
     look_at(out / "report.html", tmp_path, figures=4)
-    text = (out / "report.html").read_text()
-    assert "<h1>model.yaml on" in text and '<p class="lead">model.yaml: NRMSE 0.0' in text
 
 
 def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: Path, tmp_path: Path) -> None:
@@ -405,25 +394,6 @@ def test_live_folder_brings_the_old_results_back(tmp_path: Path) -> None:
         (folder / "models").mkdir()
     assert (out / "result.json").read_text() == "new"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_excite_writes_a_signal_within_its_limits(run, tmp_path: Path) -> None:
-    file, picture = tmp_path / "signals" / "u.csv", tmp_path / "u.png"
-    outcome = run(
-        "excite", "--band", 0.5, 8, "--duration", 4, "--sample-time", 0.01, "--amplitude", 6, "--tones", 8,
-        "--starts", 5, "--out", file, "--plot", picture,
-    )  # fmt: skip
-    assert outcome.code == 0, outcome.err
-    table = pd.read_csv(file)
-    assert list(table.columns) == ["t", "u1"]
-    assert len(table) == 400 + 10
-    assert np.all(table["u1"][:10] == 0)
-    assert 5.5 < table["u1"].abs().max() <= 6
-    assert "crest factor 1." in outcome.out
-    told = json.loads(file.with_suffix(".json").read_text())
-    assert told["program"] == f"hybrid_id {__version__}" and told["tones"] == 8 and told["seed"] == 0
-    assert "random phases" in outcome.out
-    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_first_interrupt_asks_the_fit_to_end(tmp_path: Path) -> None:

@@ -162,15 +162,11 @@ def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "names"),
     [
-        ("dataset: DATA\ngap: {max_effects: 0}\n", ("gap.max_effects", "0")),
-        ("dataset: DATA\nidentification: {window: 0}\n", ("identification.window", "0")),
         (
             "dataset: DATA\nidentification: {window: 1.0e-9}\n",
             ("identification.window", "25 samples or more"),
         ),
         ("dataset: DATA\nidentification: {window: 100}\n", ("identification.window", "four windows")),
-        ("dataset: DATA\ngap: {colour: 2}\n", ("gap.colour", "unknown")),
-        ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
         ("dataset: DATA\npreprocessing: {records: [run_3]}\n", ("no train record",)),
     ],
 )

@@ -500,18 +500,6 @@ def one_joint(folder: Path, columns: dict, actuator: str = "", high: float = 1.9
 TORQUE = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
 
 
-def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Path) -> None:
-    folder = one_joint(tmp_path / "logs", TORQUE, '<motor joint="elbow" gear="50"/>')
-    _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
-    assert "multiplies commands those of the drives (50 at elbow)?" in words
-    assert "gear_ratio: [50]" in (folder / "model.yaml").read_text()
-    told = "where it is the drive's gear, and they are before it, add 'gear_ratio: [50]' to model.yaml"
-    assert told in run("check", folder).err
-    with (folder / "model.yaml").open("a") as file:
-        file.write("gear_ratio: [1]\n")
-    assert told not in run("check", folder).err
-
-
 @pytest.mark.parametrize(
     ("actuator", "asked", "line"),
     [
@@ -529,7 +517,10 @@ def test_what_a_command_is_in_the_robots_file_is_asked(
     _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     assert asked in words and line in (folder / "model.yaml").read_text()
     told = "arm.xml brakes elbow by the speed (<velocity>, or a back-EMF), which is left out"
-    assert (told in run("check", folder).err) == ("velocity" in actuator)
+    err = run("check", folder).err
+    assert (told in err) == ("velocity" in actuator) and ("it is the drive's gear" in err) == (
+        "gear=" in actuator
+    )
 
 
 COUNTS = {

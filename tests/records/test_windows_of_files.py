@@ -114,14 +114,6 @@ def test_a_part_of_channels_recorded_late_is_that_of_the_whole(
         np.testing.assert_allclose(found.outputs["q_m1"], same.outputs["q_m1"], atol=1e-12)
 
 
-def test_a_missing_stamp_inside_a_window_is_told(rng: np.random.Generator, tmp_path: Path) -> None:
-    frame = table(rng)
-    frame.loc[100, "t"] = np.nan
-    frame.to_parquet(tmp_path / "long.parquet")
-    with pytest.raises(InputError, match=r"row 101\b.*nan"):
-        Dataset.load(described(tmp_path, "long.parquet", parts=PARTS[:1]))
-
-
 def test_turns_are_counted_from_the_files_start(tmp_path: Path) -> None:
     time = STEP * np.arange(ROWS)
     angle = 900.0 * time  # degrees, five turns
