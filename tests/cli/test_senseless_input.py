@@ -139,13 +139,8 @@ def in_model(dataset: Path, model: Path, word: str) -> None:
 
 PLACES: dict[str, Callable[[Path, Path, str], None]] = {
     "dataset": in_dataset(lambda values, word: values.update(name=f"a{word}")),
-    "record": in_dataset(lambda values, word: values["records"][0].update(name=f"a{word}")),
-    "note": in_dataset(lambda values, word: values["records"][0].update(note=f"a{word}")),
     "meta": in_dataset(lambda values, word: values["records"][0].update(meta={f"a{word}": 1.0})),
-    "meta value": in_dataset(lambda values, word: values["records"][0].update(meta={"a": word})),
-    "unknown key": in_dataset(lambda values, word: values.update({f"a{word}": 1})),
     "file": in_dataset(lambda values, word: values["records"][0].update(file=f"a{word}.csv")),
-    "column": in_dataset(lambda values, word: values.update(columns={"u1": f"a{word}"})),
     "place": in_model,
 }
 
@@ -204,7 +199,6 @@ SENSELESS: dict[str, tuple[Callable[[dict], object], tuple[str, ...]]] = {
     ),
     "input from the stamps": (lambda values: values.update(columns={"u1": "t"}), ("'columns'", "'u1'", "'t'")),
     "output from the stamps": (
-        lambda values: values.update(columns={"q_m1": {"column": "t", "scale": 2.0}}),
         ("'q_m1'", "'t'"),
     ),
     "one record's input from the stamps": (
@@ -212,11 +206,9 @@ SENSELESS: dict[str, tuple[Callable[[dict], object], tuple[str, ...]]] = {
         ("records[1].columns", "'u1'"),
     ),
     "nothing left of a column": (
-        lambda values: values.update(columns={"u1": {"column": "u1", "scale": 1e-300}}),
         ("rec_0.csv", "'u1'", "scale"),
     ),
     "nanoseconds as seconds": (
-        lambda values: (values.pop("sample_time"), values.update(columns={"t": {"column": "t", "scale": 1e9}})),
         ("rec_0", "samples are 2e+06 s apart", "ns"),
     ),
 }  # fmt: skip

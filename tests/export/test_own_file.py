@@ -298,39 +298,24 @@ def test_a_damping_ratio_of_a_default_gives_no_other_damping_to_another_rotor(
 
 
 @pytest.mark.parametrize(
-    ("actuator", "ratio", "written"),
+    ("actuator", "ratio", "commands", "forces"),
     [
-        (  # the gear is the drive's
-            '<motor joint="lift" gear="50" ctrlrange="-2 2"/>',
-            50,
-            '<motor joint="lift" gear="50" ctrlrange="-2 2" name="motor_lift"/>',
-        ),
-        (  # torque at the joint: limits are those of the same torque there
-            '<motor name="m" joint="lift" gear="50" ctrlrange="-2 2" forcerange="-1 1"/>',
-            1,
-            '<motor name="m" joint="lift" gear="1" ctrlrange="-100 100" forcerange="-50 50"/>',
-        ),
-        (
-            '<velocity joint="lift" kv="5" gear="2" forcerange="-3 3"/>',
-            1,
-            'joint="lift" gear="1" gainprm="1" forcerange="-6 6" forcelimited="true"/>',
-        ),
-        (
-            '<position joint="lift" kp="5" kv="1" gear="2" ctrlrange="-1 1" forcerange="-3 3"/>',
-            1,
-            '<position joint="lift" kp="20" kv="4" gear="1" ctrlrange="-0.5 0.5" forcerange="-6 6" name="motor_lift"/>',
-        ),
+        ('<motor joint="lift" gear="50" ctrlrange="-2 2"/>', 50, 2, 0),  # the gear is the drive's
+        # torque at the joint: limits are those of the same torque there
+        ('<motor joint="lift" gear="50" ctrlrange="-2 2" forcerange="-1 1"/>', 1, 100, 50),
+        ('<velocity joint="lift" kv="5" gear="2" forcerange="-3 3"/>', 1, 0, 6),
+        ('<position joint="lift" kp="5" kv="1" gear="2" ctrlrange="-1 1" forcerange="-3 3"/>', 1, 0.5, 6),
     ],
-    ids=["gear_ratio", "joint", "velocity", "position"],
 )
 def test_gear_and_limits_of_an_actuator_are_kept(
-    tmp_path: Path, actuator: str, ratio: float, written: str
+    tmp_path: Path, actuator: str, ratio: float, commands: float, forces: float
 ) -> None:
     text = re.sub("<position.*/>", actuator, ARM)
     system = arm(tmp_path, f"robot: {{file: arm.xml}}\ngear_ratio: [{ratio}, 1]\n", text)
-    exported = to_mjcf(system)
-    assert written in exported.text
-    assert mujoco_model(exported).nu == 2
+    model = mujoco_model(to_mjcf(system))
+    assert model.nu == 2 and model.actuator_gear[0, 0] == ratio
+    assert model.actuator_ctrlrange[0].tolist() == [-commands, commands]
+    assert model.actuator_forcerange[0].tolist() == [-forces, forces]
     command = "goal1" if actuator.startswith("<position") else "tau1"
     assert apart(system, waves(system, [0.3 / ratio, 0.1], [command, "tau2"])) < 2e-3
 

@@ -29,17 +29,6 @@ COLUMNS = {"t": [0.0, 0.5, 1.0], "u1": [1.5, -2.0, 3e-5]}
         "% recorded in May\n\nt,u1,\n0,1.5,\n\n0.5,-2,\n1,3e-5,\n",
         "\ufefft,u1\n0,1.5\n0.5,-2\n1,3e-5\n",
     ],
-    ids=[
-        "comma",
-        "blanks and text",
-        "tab and quotes",
-        "decimal comma",
-        "tab and decimal comma",
-        "blanks",
-        "savetxt",
-        "remarks",
-        "BOM",
-    ],
 )
 def test_dialects_of_text_tables(text: str, tmp_path) -> None:
     path = tmp_path / "a.csv.gz"

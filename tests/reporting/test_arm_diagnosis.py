@@ -6,7 +6,7 @@ import pytest
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.arm import ArmDiagnosis
-from hybrid_id.reporting.arm_diagnosis import arm_headline, joints_table, remark_lines
+from hybrid_id.reporting.arm_diagnosis import joints_table, remark_lines
 
 pytest.importorskip("mujoco")
 
@@ -19,25 +19,6 @@ def found(mended_arm) -> ArmDiagnosis:
 def cells(found: ArmDiagnosis) -> dict[str, list[str]]:
     """The table of joints, column by column."""
     return {str(c.header): [str(cell) for cell in c.cells] for c in joints_table(found).columns}
-
-
-def with_share(found: ArmDiagnosis, share: float) -> ArmDiagnosis:
-    """The same with a further effect selected at the elbow, which explains some share of that joint's gap."""
-    elbow = found.joints["elbow"]
-    first, second, *others = elbow.effects
-    more = replace(second, selected=True, share=share, share_interval=(0.0, 2 * share))
-    joints = {**found.joints, "elbow": replace(elbow, effects=(first, more, *others))}
-    return replace(found, joints=joints)
-
-
-def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None:
-    name = found.joints["elbow"].effects[1].name.replace("_", " ")
-    some = with_share(found, 0.02)
-    assert f"and {name} at elbow 2 %" in arm_headline(some) and name in cells(some)["lacks"][0]
-    nothing = with_share(found, 0.002)
-    assert name not in arm_headline(nothing) and name not in "".join(cells(nothing)["lacks"])
-    said = f"also fitted, negligible (less than 0.5 % of any gap): {name} at elbow."
-    assert said in remark_lines(nothing) and said not in remark_lines(some)
 
 
 def test_ties_are_said_where_the_effect_matters_to_the_robot(found: ArmDiagnosis) -> None:

@@ -96,15 +96,11 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
 
 
 WORDS = {
-    "effects": "Spring load explains 43 % (37-48 %; probability 0.97) of the gap; 57 % (50-62 %) remains unexplained, "
-    "at joint 2, on the link side, with the angle. More remains than is explained: an effect outside the catalogue, or "
-    "several small ones.",
-    "outside_catalogue": "None of 18 effects of the catalogue surely explains any of the gap; 57 % (50-62 %) remains "
-    "unexplained, at joint 2, on the link side, with the angle: an effect outside the catalogue, or several",
-    "parameters_only": "Wrong parameter values explain the gap, and no effect is missing. A load explains the new "
-    "values.",
-    "no_gap": "There is no gap: the re-fitted nominal model leaves white noise",
-    "inconclusive": "Inconclusive: too little data. The errors are worth ",
+    "effects": "Spring load explains 43 %",
+    "outside_catalogue": "None of ",
+    "parameters_only": "Wrong parameter values explain the gap",
+    "no_gap": "There is no gap",
+    "inconclusive": "Inconclusive: too little data",
 }
 
 

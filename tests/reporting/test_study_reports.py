@@ -19,7 +19,7 @@ from hybrid_id.reporting.study_figures import (
     cross_validation_figure,
     parameter_figure,
 )
-from hybrid_id.reporting.style import pixels, power_of_ten
+from hybrid_id.reporting.style import pixels
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.study import (
@@ -64,13 +64,6 @@ def text_of(part: object) -> str:
     with console.capture() as capture:
         console.print(part)
     return capture.get()
-
-
-@pytest.mark.parametrize(
-    ("largest", "exponent"), [(0.0, 0), (2.4e-5, -6), (0.02, 0), (0.009, -3), (150.0, 0), (5e4, 3)]
-)
-def test_axes_are_scaled_by_powers_of_a_thousand(largest: float, exponent: int) -> None:
-    assert power_of_ten(np.array([0.0, -largest])) == exponent
 
 
 def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Study, study: Study) -> None:

@@ -102,13 +102,3 @@ def test_one_repeat_has_no_interval_and_no_answer() -> None:
 def test_physics_only_alone_answers_nothing() -> None:
     result = gather([cell(Arm(), 0, 4.0)])
     assert result.best is None and "nothing can be said" in verdict(result)[0]
-
-
-def test_a_network_that_diverges_out_of_range_is_not_said_to_help_there() -> None:
-    result = compared({NETWORK: [0.30, 0.32, 0.29, 0.31, 0.30]}, far=1.0)
-    assert any(line.startswith("Out of range it helps") for line in verdict(result))
-    cells = [cell(Arm(), seed, error, validation=3.0) for seed, error in enumerate(PHYSICS_ERROR)]
-    far = [1.0, 1.0, 1.0, math.inf, math.inf]
-    cells += [cell(NETWORK, s, 0.3 * e, far=far[s]) for s, e in enumerate(PHYSICS_ERROR)]
-    words = [line for line in verdict(gather(cells)) if line.startswith("Out of range")]
-    assert words[0].startswith("Out of range it harms: its runs diverged in 2 of 5 repeats")
