@@ -1,28 +1,21 @@
-"""`make fuzz`: what is read is changed at random, and every reader takes it or refuses it in one sentence.
+"""What is read is changed at random, and every reader takes it or refuses it in one sentence.
 
 Hypothesis makes the files: sound ones with bytes changed, cut out, repeated or put in, and settings with other values.
-Every reader runs in processes of its own, so that a crash is seen, too. An example fails where anything but an
-InputError is raised, where it takes longer than SECONDS, where memory grows by more than GROWTH times its files and
-SPARE, where the message is longer than a screen, or where the process ends. What fails is kept under `.fuzz/`, as a
-folder for each kind of failure; exit code 1 where there is any.
+`tests/test_robustness.py` reads them, a few in `make test` and many in `make fuzz`, where an example fails, too, that
+takes longer than SECONDS, or whose memory grows by more than GROWTH times its files and SPARE.
 """
 
-import argparse
-import faulthandler
 import gzip
 import hashlib
 import io
 import json
-import os
-import random
 import signal
 import struct
-import sys
 import tarfile
 import tempfile
 import time
-import traceback
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,9 +23,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-
-sys.path.insert(0, str(Path(__file__).parent))
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from malformed import SOUND
 from malformed_models import write_sound_model
@@ -43,8 +33,6 @@ SECONDS = 5.0
 """An example may take, on a computer that has other things to do, too."""
 GROWTH, SPARE = 10, 96 * 2**20
 """Bytes of memory for one that is read, and beside that."""
-BATCH = 60
-"""Examples of one process."""
 Files = dict[str, bytes]
 
 
@@ -219,32 +207,20 @@ def npz() -> Files:
     return written(lambda path: np.savez_compressed(path, allow_pickle=False, **table()), "a.npz")
 
 
-def bag(ending: str) -> Files:
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores, get_typestore
+def bag(kind: str) -> Files:
+    from bags import number, write_bag
 
-    found: Files = {}
+    ros1 = kind == "ros1"
     with tempfile.TemporaryDirectory() as folder:
-        place, kind = Path(folder) / f"b{'.bag' * (ending == 'bag')}", "std_msgs/msg/Float64"
-        store = get_typestore(Stores.ROS1_NOETIC if ending == "bag" else Stores.ROS2_HUMBLE)
-        plugin = {"mcap": StoragePlugin.MCAP, "db3": StoragePlugin.SQLITE3}.get(ending)
-        writer = Writer1(place) if plugin is None else Writer2(place, version=9, storage_plugin=plugin)
-        with writer:
-            for topic in ("/u", "/q"):
-                link = writer.add_connection(topic, kind, typestore=store)
-                for k, value in enumerate(table()["u1"]):
-                    message = store.types[kind](data=float(value))
-                    raw = (
-                        store.serialize_ros1(message, kind)
-                        if plugin is None
-                        else store.serialize_cdr(message, kind)
-                    )
-                    writer.write(link, 10**9 + 2_000_000 * k, raw)  # type: ignore[arg-type]
-        for path in [place] if place.is_file() else sorted(place.iterdir(), reverse=True):
-            found[path.name if place.is_file() else f"b/{path.name}"] = path.read_bytes()
-    return dict(sorted(found.items(), key=lambda pair: not pair[0].endswith(ending)))
+        place = Path(folder) / ("b.bag" if ros1 else "b")
+        messages = [
+            (topic, 10**9 + 2_000_000 * k, number(value, ros1))
+            for topic in ("/u", "/q")
+            for k, value in enumerate(table()["u1"])
+        ]
+        write_bag(place, messages, kind=kind)
+        files = [place] if ros1 else sorted(place.iterdir(), key=lambda path: path.suffix == ".yaml")
+        return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def bam() -> bytes:
@@ -481,9 +457,9 @@ TARGETS: dict[str, Target] = {
     "mat 7.3": Target(hdf5, record("a.mat", "mat")),
     "npz": Target(npz, record("a.npz", "npz")),
     "bam": Target(lambda: {"a.json": bam()}, record("a.json", "bam", ("t", "q_m1", "duty1"))),
-    "bag": Target(lambda: bag("bag"), record("b.bag", "bag", ("/u/data", "/q/data"))),
+    "bag": Target(lambda: bag("ros1"), record("b.bag", "bag", ("/u/data", "/q/data"))),
     "mcap": Target(lambda: bag("mcap"), record("b", "bag", ("/u/data", "/q/data"))),
-    "db3": Target(lambda: bag("db3"), record("b", "bag", ("/u/data", "/q/data"))),
+    "db3": Target(lambda: bag("sqlite3"), record("b", "bag", ("/u/data", "/q/data"))),
     "lerobot": Target(
         lerobot, record("data/chunk-000/file-000.parquet", "lerobot", ("action/0", "observation.state/0"))
     ),
@@ -507,7 +483,7 @@ TARGETS: dict[str, Target] = {
 }
 
 
-# ---- running ----
+# ---- reading ----
 
 
 def refused(error: InputError) -> None:
@@ -539,131 +515,22 @@ def memory(key: str) -> int:
     return next(1024 * int(line.split()[1]) for line in lines if line.startswith(key))
 
 
-def try_one(target: Target, files: Files, folder: Path, *, first: bool = False) -> None:
-    """Read one example; raises what is wrong with its being read. What the first one imports counts for nobody."""
-    write_files(files, folder)
+@contextmanager
+def bounds(files: Files) -> Iterator[None]:
+    """Fail where reading files takes longer, or more memory, than it may."""
+
+    def hangs(*_: object) -> None:
+        raise TooLong(f"it hangs for {4 * SECONDS:g} s")
+
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
     before, start = memory("VmRSS"), time.process_time()
-    signal.setitimer(signal.ITIMER_REAL, 100.0 if first else 4 * SECONDS)
+    signal.signal(signal.SIGALRM, hangs)
+    signal.setitimer(signal.ITIMER_REAL, 4 * SECONDS)
     try:
-        target.read(folder)
-    except InputError as error:
-        refused(error)
+        yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-    if first:
-        return
     seconds, grown = time.process_time() - start, memory("VmHWM") - before
     most = GROWTH * sum(map(len, files.values())) + SPARE
     assert seconds <= SECONDS, f"it takes {seconds:.1f} s"
     assert grown <= most, f"memory grows by {grown >> 20} MiB, where {most >> 20} MiB are fair"
-
-
-def batch(name: str, number: int, home: Path, until: float) -> None:
-    """In a process of its own: examples of one reader; the one being read is on the disk, should the process end."""
-    target, sound = TARGETS[name], TARGETS[name].sound()
-    faulthandler.enable()
-    signal.signal(signal.SIGALRM, _too_long)
-    with tempfile.TemporaryDirectory() as begun:
-        try_one(target, sound, Path(begun), first=True)
-
-    @settings(max_examples=BATCH, phases=[Phase.generate], deadline=None, database=None,
-              suppress_health_check=list(HealthCheck))  # fmt: skip
-    @seed(number)
-    @given(examples(target, sound))
-    def each(files: Files) -> None:
-        if time.monotonic() > until:
-            return
-        with tempfile.TemporaryDirectory(dir=home) as folder:
-            (home / "last").write_text(folder)
-            try:
-                try_one(target, files, Path(folder))
-            except (Exception, TooLong) as error:
-                keep(name, files, error)
-
-    each()
-    (home / "done").write_text(str(BATCH))
-
-
-def _too_long(*_: object) -> None:
-    raise TooLong(f"it hangs for {4 * SECONDS:g} s")
-
-
-def keep(name: str, files: Files, error: BaseException) -> None:
-    """Keep an example that fails, one of each kind."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if "hybrid_id" in f.filename] or frames
-    where = f"{own[-1].name} {type(error).__name__}"
-    place = (
-        KEPT / f"{name.replace(' ', '_').replace('/', '_')}-{hashlib.sha256(where.encode()).hexdigest()[:8]}"
-    )
-    if place.exists():
-        return
-    write_files(files, place)
-    (place / "failure.txt").write_text("".join(traceback.format_exception(error))[-6000:])
-    words = " ".join(str(error).split())[:200]
-    print(f"  {name}: {type(error).__name__} in {own[-1].name}: {words}; kept in {place}", flush=True)
-
-
-KEPT = Path(".fuzz")
-
-
-def fuzz(names: list[str], seconds: float, first: int) -> int:
-    """Read examples of all readers in turn until the time is over; returns how many kinds of failures are kept."""
-    until, count, number, crashes = time.monotonic() + seconds, 0, first, 0
-    while time.monotonic() < until:
-        for name in names:
-            if time.monotonic() > until:
-                break
-            with tempfile.TemporaryDirectory() as home:
-                child = os.fork()
-                if child == 0:
-                    with open(Path(home) / "said", "w") as said:
-                        os.dup2(said.fileno(), 2)
-                        code = 1
-                        try:
-                            batch(name, number, Path(home), until)
-                            code = 0
-                        except BaseException:
-                            traceback.print_exc()
-                        finally:
-                            said.flush()
-                            sys.stdout.flush()
-                            os._exit(code)
-                _, status = os.waitpid(child, 0)
-                if status:
-                    crashes += 1
-                    place, last = KEPT / f"{name.replace(' ', '_')}-crash-{number}", Path(home) / "last"
-                    place.mkdir(parents=True, exist_ok=True)
-                    if last.exists():
-                        for file in (path for path in Path(last.read_text()).rglob("*") if path.is_file()):
-                            (place / file.name).write_bytes(file.read_bytes())
-                    (place / "failure.txt").write_text((Path(home) / "said").read_text()[-6000:])
-                    print(f"  {name}: the process ended with status {status}; kept in {place}", flush=True)
-                count += BATCH
-            number += 1
-    found = sum(1 for _ in KEPT.iterdir()) if KEPT.exists() else 0
-    print(
-        f"{count} examples of {len(names)} readers in {seconds:.0f} s: {found} kinds of failures", flush=True
-    )
-    return found
-
-
-def main() -> None:
-    """Parse and run."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=3600.0)
-    parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(2**31))
-    parser.add_argument("--only", choices=list(TARGETS), action="append", help="readers; all by default")
-    parser.add_argument("--again", type=Path, help="folder of a failure, to be read again")
-    wish = parser.parse_args()
-    if wish.again is not None:
-        name = wish.only[0]
-        TARGETS[name].read(wish.again)
-        return
-    print(f"seed {wish.seed}", flush=True)
-    sys.exit(bool(fuzz(wish.only or list(TARGETS), wish.seconds, wish.seed)))
-
-
-if __name__ == "__main__":
-    main()

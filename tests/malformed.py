@@ -138,11 +138,6 @@ def truncated_gzip(folder: Path) -> None:
     other_file("rec_0.csv.gz", whole[: len(whole) // 2])(folder)
 
 
-def empty_folder(folder: Path) -> Path:
-    (folder / "empty").mkdir()
-    return folder / "empty"
-
-
 def folder_without_yaml(folder: Path) -> None:
     (folder / "dataset.yaml").unlink()
 
@@ -177,11 +172,6 @@ def three_times(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(t=time)
 
 
-def jittered(frame: pd.DataFrame) -> pd.DataFrame:
-    shift = 0.0004 * np.sin(np.arange(len(frame)) * 1.7)
-    return frame.assign(t=frame["t"] + shift - shift[0])
-
-
 _YAML_BOMB = "a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]\n"
 
 
@@ -191,30 +181,14 @@ def malformed_datasets() -> list[Malformed]:
     return [
         # what lies in the folder
         Malformed("no such path", ("nowhere", "does not exist"), lambda folder: folder / "nowhere"),
-        Malformed("empty folder", ("empty", settings), empty_folder),
         Malformed("no dataset.yaml", ("rec_0.csv", settings), folder_without_yaml),
         Malformed(
             "missing file", ("gone.csv", "does not exist"), set_key("records", 0, "file", to="gone.csv")
         ),
         Malformed(
-            "folder for a file",
-            ("sub", "read"),
-            both(lambda f: (f / "sub.csv").mkdir(), set_key("records", 0, "file", to="sub.csv")),
-        ),
-        Malformed(
             "path traversal",
             (settings, "records[0].file", "../secret.csv"),
             set_key("records", 0, "file", to="../secret.csv"),
-        ),
-        Malformed(
-            "path traversal by backslashes",
-            (settings, "records[0].file"),
-            set_key("records", 0, "file", to="..\\\\a.csv"),
-        ),
-        Malformed(
-            "absolute path",
-            (settings, "records[0].file", "/etc/passwd"),
-            set_key("records", 0, "file", to="/etc/passwd"),
         ),
         Malformed(
             "pattern of nothing",
@@ -224,7 +198,6 @@ def malformed_datasets() -> list[Malformed]:
         Malformed("unknown ending", ("rec_0.xyz", "format"), other_file("rec_0.xyz", b"t,u1,q_m1\n")),
         # dataset.yaml itself
         Malformed("not YAML", (settings, "row 2"), write(settings, "name: a\nrecords: ]\n")),
-        Malformed("YAML list", (settings, "top level"), write(settings, "- 1\n- 2\n")),
         Malformed(
             "hostile tag",
             (settings, "row 1", "python"),
@@ -234,42 +207,17 @@ def malformed_datasets() -> list[Malformed]:
         Malformed(
             "key twice", (settings, "row 3", "'name'"), write(settings, "name: a\noutputs: []\nname: b\n")
         ),
-        Malformed("binary settings", (settings, "UTF-8"), write(settings, b"\xff\xfe\x00name")),
         Malformed(
             "unknown key", (settings, "records[1].fiel", "'file'"), set_key("records", 1, "fiel", to="a.csv")
         ),
-        Malformed(
-            "missing key",
-            (settings, "records[0].file", "missing"),
-            in_yaml(lambda v: v["records"][0].pop("file")),
-        ),
-        Malformed(
-            "bad role", (settings, "records[1].role", "tset"), set_key("records", 1, "role", to="tset")
-        ),
         Malformed("no records", (settings, "records"), set_key("records", to=[])),
-        Malformed("no outputs", (settings, "outputs"), set_key("outputs", to=[])),
-        Malformed("negative step", (settings, "sample_time", "-0.002"), set_key("sample_time", to=-0.002)),
-        Malformed(
-            "noise as text",
-            (settings, "outputs[0].noise_std", "low"),
-            set_key("outputs", 0, "noise_std", to="low"),
-        ),
         Malformed(
             "wrong unit", (settings, "inputs[0]", "'rad'", "u1"), set_key("inputs", 0, "unit", to="rad")
-        ),
-        Malformed(
-            "unknown unit", (settings, "outputs[0]", "furlong"), set_key("outputs", 0, "unit", to="furlong")
         ),
         Malformed(
             "scale of nothing",
             (settings, "columns.u1", "0 leaves nothing"),
             set_key("columns", to={"u1": {"column": "u1", "scale": 0}}),
-        ),
-        Malformed("map to no channel", (settings, "columns.u2"), set_key("columns", to={"u2": "x"})),
-        Malformed(
-            "wrong unit of a column",
-            (settings, "columns.t", "'V'"),
-            set_key("columns", to={"t": {"column": "t", "unit": "V"}}),
         ),
         Malformed(
             "channel twice",
@@ -277,7 +225,6 @@ def malformed_datasets() -> list[Malformed]:
             set_key("inputs", to=[{"name": "u1", "unit": "V"}, {"name": "u1", "unit": "V"}]),
         ),
         Malformed("record name twice", ("sound", "'rec_0'", csv), set_key("records", 1, "file", to=csv)),
-        Malformed("record name as path", ("../a", "name"), set_key("records", 0, "name", to="../a")),
         Malformed("wrong sample time", (csv, "sample_time", "0.001"), set_key("sample_time", to=0.001)),
         Malformed(
             "two sample times",
@@ -296,9 +243,6 @@ def malformed_datasets() -> list[Malformed]:
             (csv, "row 3", "'q_m1'"),
             in_frame(lambda f: f.assign(q_m1=f["q_m1"].where(f.index != 1))),
         ),
-        Malformed("text in a number's place", (csv, "row 7", "'t'", "O.O1"), in_row(7, "0.01", "O.O1")),
-        Malformed("infinity", (csv, "row 5", "'t'", "inf"), in_row(5, "0.006", "inf")),
-        Malformed("short row", (csv, "row 9", "'q_m1'"), in_row(9, "0.014,", "")),
         Malformed("long row", (csv, "row 9", "cells"), in_row(9, ",", ",1,")),
         Malformed(
             "missing column",
@@ -306,25 +250,16 @@ def malformed_datasets() -> list[Malformed]:
             in_frame(lambda f: f.rename(columns={"u1": "voltage"})),
         ),
         Malformed("column twice", (csv, "'u1'", "2 times"), in_row(1, "q_m1", "u1,q_m1")),
-        Malformed("no header", (csv, "header", "1, 2, 3"), write(csv, "0,1,2\n1,2,3\n")),
         Malformed("no samples", (csv, "0 samples"), in_frame(lambda f: f.iloc[:0])),
-        Malformed("one sample", (csv, "1 sample"), in_frame(lambda f: f.iloc[:1])),
         Malformed("empty file", (csv, "no table"), write(csv, b"")),
         Malformed("binary file", (csv, "UTF-8"), write(csv, bytes(range(256)) * 4)),
         Malformed("truncated gzip", ("rec_0.csv.gz", "damaged"), truncated_gzip),
-        Malformed(
-            "gzip in name only",
-            ("rec_0.csv.gz", "damaged"),
-            other_file("rec_0.csv.gz", b"t,u1,q_m1\n0,1,2\n"),
-        ),
         # what the numbers say
-        Malformed("time stands still", (csv, "row 31", "0.056"), in_row(31, "0.058", "0.056")),
         Malformed(
             "time runs backwards",
             (csv, "row 252", "increase"),
             in_frame(lambda f: f.iloc[[*range(250), *range(9)]]),
         ),
-        Malformed("jitter under a sample time", (csv, "sample_time", "resample"), in_frame(jittered)),
         Malformed(
             "gap", (csv, "0.198 s", "max_gap"), both(in_frame(three_times), set_key("resample", to=True))
         ),
@@ -339,27 +274,15 @@ def malformed_datasets() -> list[Malformed]:
             (csv, "row 12", "'u1'", "1e+300", "no sensor reads"),
             in_frame(lambda f: f.assign(u1=f["u1"].where(f.index != 10, 1e300))),
         ),
-        Malformed(
-            "stamps in ms beside a sample time",
-            (csv, "sample_time", "{column: t, unit: ms}"),
-            in_frame(lambda f: f.assign(t=1e3 * f["t"])),
-        ),
         Malformed("output never changes", (csv, "'q_m1'", "0.25"), in_frame(lambda f: f.assign(q_m1=0.25))),
         # other formats
         Malformed("no MATLAB file", ("a.mat", "MATLAB file"), other_file("a.mat", b"MATLAB?" * 40)),
         Malformed("MATLAB variable missing", ("a.mat", "'u1'"), mat_without_voltage),
-        Malformed("no Parquet", ("a.parquet", "Parquet"), other_file("a.parquet", b"t,u1\n")),
         Malformed("Parquet of text", ("a.parquet", "'u1'"), parquet_of_text),
-        Malformed("no JSON", ("a.json", "JSON"), other_file("a.json", b"{'t': 1")),
         Malformed("JSON of another kind", ("a.json", "entries"), other_file("a.json", b'{"samples": []}')),
         Malformed(
             "entry without number",
             ("a.json", "entry 8", "'position'"),
             bam_log(spoil=lambda e: e[7].pop("position")),
-        ),
-        Malformed(
-            "entry with NaN",
-            ("a.json", "entry 5", "'u1'"),
-            bam_log(spoil=lambda e: e[4].update(load=float("nan"))),
         ),
     ]

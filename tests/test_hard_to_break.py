@@ -29,7 +29,6 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.machines.seal import open_answers, read_manifest, refuse_reachable
 from hybrid_id.reading import LONGEST_NAME, MOST_COLUMNS, MOST_DEPTH, parse_json
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.logs import find_logs
 from hybrid_id.records.readers import column_names, load_any
 from hybrid_id.records.yaml_file import MAX_VALUES, parse_yaml, read_yaml
 from hybrid_id.robots.description import load_tree
@@ -188,16 +187,6 @@ def test_what_is_no_regular_file_is_not_opened(tmp_path: Path, name: str, make: 
         "bag/a.mcap": lambda: load_any(file.parent, ["/a"]),
     }
     refused(readers.get(name, lambda: load_any(file, ["t"])), name, "is a pipe or a device")
-
-
-def test_a_device_is_no_log() -> None:
-    refused(lambda: find_logs([Path("/dev/null")]), "/dev/null is a pipe or a device")
-
-
-def test_a_study_is_a_regular_file(tmp_path: Path) -> None:
-    needs_pipes()
-    os.mkfifo(tmp_path / "study.yaml")
-    refused(lambda: load_config(tmp_path / "study.yaml"), "study.yaml is a pipe or a device")
 
 
 @pytest.mark.parametrize("cell", ["1_000", "\u0661\u0662", "1e", "0x10"])
@@ -410,18 +399,6 @@ def test_messages_quote_nothing_of_what_is_no_record(tmp_path: Path, lines: list
         assert not any(line[:12] in message for line in lines), message
 
 
-@given(
-    st.dictionaries(
-        st.text("ghjkqwz0123", min_size=9, max_size=30), st.text("ghjkqwz0123", min_size=9), max_size=4
-    )
-)
-@quick
-def test_messages_quote_nothing_of_other_settings(tmp_path: Path, content: dict) -> None:
-    (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
-    message = refused(lambda: load_model(tmp_path / "model.yaml"), "model.yaml")
-    assert not any(word in message.replace(str(tmp_path), "") for pair in content.items() for word in pair)
-
-
 # ---- descriptions of robots (class 12) ----
 
 BODY = '<body name="arm"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="j" axis="0 0 1"/>{}</body>'
@@ -437,7 +414,6 @@ def mesh(name: str, compiler: str = "") -> str:
 
 
 FLOOR = '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/></worldbody></mujoco>'
-URDF = '<robot name="r"><link name="a"/>{}</robot>'
 
 
 @pytest.mark.parametrize(
@@ -487,35 +463,16 @@ def test_descriptions_that_reach_out_or_explode_are_refused(tmp_path: Path, text
     refused(lambda: load_tree(home / "arm.xml"), str(home), word)
 
 
-@pytest.mark.parametrize(
-    ("name", "word"),
-    [
-        ("../out.stl", "leads out of the folder"),
-        ("gone/../../out.stl", "leads out of the folder"),
-        ("gone\\..\\..\\out.stl", "leads out of the folder"),
-        ("/dev/zero", "leads out of the folder"),
-        ("sub/pipe", "is a pipe or a device"),
-    ],
-)
+@pytest.mark.parametrize("name", ["../out.stl", "gone\\..\\..\\out.stl"])
 @pytest.mark.parametrize("urdf", [False, True])
-def test_meshes_that_reach_out_are_refused_as_written(
-    tmp_path: Path, name: str, word: str, *, urdf: bool
-) -> None:
-    needs_pipes()
+def test_meshes_that_reach_out_are_refused_as_written(tmp_path: Path, name: str, *, urdf: bool) -> None:
     home = tmp_path / "home"
-    (home / "sub").mkdir(parents=True)
+    home.mkdir()
     (tmp_path / "out.stl").write_bytes(b"solid")
-    os.mkfifo(home / "sub" / "pipe")
     shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     text = f'<robot name="r"><link name="w"/><link name="a">{shape}</link></robot>' if urdf else mesh(name)
     (home / "arm.urdf").write_text(text)
-    refused(lambda: load_tree(home / "arm.urdf"), str(home), word)
-    if urdf:  # of which MuJoCo then takes the last part
-        stripped = text.replace("<link", '<mujoco><compiler strippath="true"/></mujoco><link', 1)
-        (home / "arm.urdf").write_text(stripped)
-        with pytest.raises(InputError) as error:
-            load_tree(home / "arm.urdf")
-        assert word not in str(error.value)
+    refused(lambda: load_tree(home / "arm.urdf"), str(home), "leads out of the folder")
 
 
 @pytest.mark.parametrize(

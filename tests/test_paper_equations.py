@@ -32,12 +32,3 @@ def test_each_equation_stands_in_exactly_one_class() -> None:
         r"\| \((\d+)\) \| [^|]* \| `(\w+)` \| `([\w/.]+)` \|", TABLE.read_text(encoding="utf-8")
     )
     assert sorted(found) == [(int(number), name, file) for number, name, file in rows]
-
-
-def test_a_mention_is_no_equation_of_the_class() -> None:
-    classes = [
-        'class A:\n    """Paper, eq. (6), (8) and (11): a law."""',
-        'class B:\n    """A law (paper, eq. 6), neglected in eq. (3)."""',
-        'class C:\n    """Paper, eq. (7) with more: no head."""',
-    ]
-    assert list(equations("\n\n".join(classes))) == [(6, "A"), (8, "A"), (11, "A")]

@@ -117,21 +117,3 @@ def test_the_publisher_s_arm_scores_as_published(experiment, shared) -> None:
     arm = machines.dfki(shared / "data", "A.0")
     q_1, q_2 = machines.window_errors(arm.system, arm.dataset.records, 0.5).values()
     assert q_1 == pytest.approx(0.053, abs=0.004) and q_2 == pytest.approx(0.184, abs=0.012)  # rad
-
-
-def test_table_says_what_an_answer_holds(experiment) -> None:
-    gap = {"nominal": 0.5, "refit": 0.2, "with_effect": 0.1, "noise_floor": 0.01, "shrink": 0.6}
-    answer = {
-        "verdict": "effects", "unknown": True, "gap": gap | {"shrink_interval": [0.5, 0.7]},
-        "effects": [effect("delay", 0.93, share=0.43, share_interval=[0.37, 0.48])],
-        "remainder": {"share": 0.57, "interval": [0.5, 0.6]}, "horizon": {"kind": "windows", "seconds": 0.5},
-    }  # fmt: skip
-    found = {"case": "a", "agrees": "right", "seconds": 12.3, "answer": answer}
-    failed = {"case": "b", "failed": "InputError: no record", "seconds": 1.0}
-    *_, first, second = experiment["table"].table([found, failed]).splitlines()
-    assert (
-        "delay 0.93 [43 (37 to 48) %]" in first
-        and "yes 57 (50 to 60) %" in first
-        and "windows 0.5 s" in first
-    )
-    assert "InputError: no record" in second and first.count("|") == second.count("|")

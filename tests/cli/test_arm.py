@@ -20,7 +20,6 @@ from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.machines import desk_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
@@ -99,10 +98,6 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
         assert (out / name / "report.html").exists()
         assert f'href="{name}/report.html"' in (out / "report.html").read_text()
         assert 'href="../report.html"' in (out / name / "report.html").read_text()
-    assert (
-        "The gap is what the nominal model leaves of the train records" in (out / "report.html").read_text()
-    )
-    assert "q_m3 (tip)" in (out / "tip" / "report.html").read_text()
     assert "joint 1," not in (out / "tip" / "report.html").read_text()  # it is called as the robot calls it
     for name in ("model.yaml", "refit.yaml"):
         assert len(load_model(out / name).joints) == 3
@@ -177,20 +172,11 @@ def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -
     assert "joint 1/x/motor and tip/motor" in hybrid.arm.name
     networks = [key for key in task.model(hybrid.arm, 0).components if "residual" in key]
     assert networks == ["joint2/motor/residual_network", "joint3/motor/residual_network"]
-    (first, _), (more, _) = (
-        task.model(cell.arm, 0).joints[1].networks.by_place["motor"][1:] for cell in (hybrid, knowing)
-    )
-    assert more.inputs == (*first.inputs, "angle1", "speed1", "angle3", "speed3")
     assert "reading all joints" in knowing.arm.name and hybrid.arm.name not in knowing.name
     left = [key for key in task.model(bare.arm, 0).components if "coulomb" in key]
     assert left == ["joint1/motor_friction/coulomb_friction", "joint2/motor_friction/coulomb_friction"]
-    kept: list[bool] = []
-    for _ in range(2):
-        ((found,), _) = run_cells(
-            task, [alone], lambda name: tmp_path / f"{name}.json", done=lambda *said: kept.append(said[2])
-        )
-        assert not found.model  # for no model file holds a network in an arm's place
-    assert kept == [False, True]
+    ((found,), _) = run_cells(task, [alone], lambda name: tmp_path / f"{name}.json")
+    assert not found.model  # for no model file holds a network in an arm's place
 
     study.write_text(text.replace("tip/motor]", "tp/motor]"))
     with pytest.raises(InputError, match=r"key 'ablation.place\[0\]': Place 'tp/motor' is not known"):
@@ -332,23 +318,3 @@ def test_check_takes_a_joint_by_itself(run, arm: Path, tmp_path: Path) -> None:
         joint_alone(replace(data, records=tuple(still)), arm / "model.yaml", arm, "tip")
     with pytest.raises(InputError, match="--joint needs the robot's model"):
         joint_alone(data, None, arm, "tip")
-
-
-def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(
-    run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(desk_arm, "LENGTH", 2.0)
-    done = run("demo", "--robot", "--out", tmp_path / "demo", "--json")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
-    monkeypatch.setattr(desk_arm, "LENGTH", 0.1)  # values are drawn before motions
-    truth = desk_arm.write_arm(tmp_path / "again")[1]
-    names, estimates = found["parameters"], found["sets"][0]["values"]
-    errors = [found["reliability"][name]["std_error_of_mean"] for name in names]
-    assert len(names) == 26
-    for name, value, error in zip(names, estimates, errors, strict=True):
-        assert abs(value - truth[name]) < max(4.0 * error, 0.03 * truth[name]), name
-    assert (tmp_path / "demo" / "truth.png").exists()
-    assert load_model(tmp_path / "demo" / "model.yaml").tree is not None  # its description came along
-    refused = run("demo", "--robot", "--settings", tmp_path / "twin.yaml", "--out", tmp_path / "other")
-    assert refused.code == 2 and "--settings belongs to the drive" in refused.err

@@ -19,7 +19,6 @@ from gapcase import small_case
 
 import hybrid_id.cli.diagnose as command
 from hybrid_id import __version__, load_model, replay, save_model
-from hybrid_id.components import CATALOGUE
 from hybrid_id.config import load_config
 from hybrid_id.diagnosis.next_experiment import next_experiment
 
@@ -118,11 +117,6 @@ def test_the_next_experiment_is_ready_to_be_played(
         assert np.ptp(one.command) > 0.0
 
 
-def test_json_is_the_file(run, known, plain: Path, tmp_path: Path) -> None:
-    said = run("diagnose", plain, "--out", tmp_path / "gap", "--json")
-    assert json.loads(said.out) == json.loads((tmp_path / "gap" / "diagnosis.json").read_text())
-
-
 def test_written_models_are_those_of_the_diagnosis(
     run, known, diagnosed, drive: Path, plain: Path, tmp_path: Path
 ) -> None:
@@ -168,15 +162,11 @@ def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "names"),
     [
-        ("dataset: DATA\ngap: {max_effects: 0}\n", ("gap.max_effects", "0")),
-        ("dataset: DATA\nidentification: {window: 0}\n", ("identification.window", "0")),
         (
             "dataset: DATA\nidentification: {window: 1.0e-9}\n",
             ("identification.window", "25 samples or more"),
         ),
         ("dataset: DATA\nidentification: {window: 100}\n", ("identification.window", "four windows")),
-        ("dataset: DATA\ngap: {colour: 2}\n", ("gap.colour", "unknown")),
-        ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
         ("dataset: DATA\npreprocessing: {records: [run_3]}\n", ("no train record",)),
     ],
 )
@@ -286,23 +276,6 @@ def test_ctrl_c_while_pictures_are_made_keeps_the_diagnosis(
 
 
 @pytest.mark.parametrize(
-    ("options", "most", "window"),
-    [
-        (["--max-effects", 2], 2, "auto"),
-        (["--window", "whole"], 3, "whole"),
-        (["--window", "0.25"], 3, 0.25),
-    ],
-)
-def test_options_reach_the_search(
-    options: list, most: int, window: float | str, run, diagnosed, monkeypatch, plain: Path, tmp_path: Path
-) -> None:
-    asked = []
-    monkeypatch.setattr(command, "run", lambda *given: asked.append(given[2]) or diagnosed[2])
-    assert run("diagnose", plain, "--out", tmp_path / "gap", *options).code == 0
-    assert (asked[0].gap.max_effects, asked[0].identification.window) == (most, window)
-
-
-@pytest.mark.parametrize(
     ("program", "code", "said"),
     [
         (IMPORTING, 130, "Error: stopped; no results were written.\n"),
@@ -313,19 +286,3 @@ def test_options_reach_the_search(
 def test_ctrl_c_before_and_after_a_command(program: str, code: int, said: str) -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (code, said)
-
-
-def test_effects_are_listed(run) -> None:
-    words = run("effects").out
-    for name, effect in CATALOGUE.items():  # a line each: what it is, and how large it usually is
-        (line,) = (one for one in words.splitlines() if one.split("  ")[0] == name and effect.about in one)
-        what, _, size = line.partition(";")
-        assert what and size.strip(), name
-    rows = run("effects", "--markdown").out.splitlines()
-    assert "spring_load" in words
-    assert rows[1] == "| --- | --- | --- | --- | --- | --- | --- |"
-    assert len(rows) >= 2 + 21
-    assert any(row.startswith("| `backlash` | play between teeth") for row in rows)
-    told = {one["effect"]: one for one in json.loads(run("effects", "--json").out)["effects"]}
-    assert told["delay"]["mistaken_for"]["electrical_lag"] == told["electrical_lag"]["mistaken_for"]["delay"]
-    assert told["quadratic_drag"]["source"].endswith("1968")

@@ -19,8 +19,9 @@ def test_it_says_which_part_of_the_band_it_takes(run, tmp_path: Path) -> None:
     assert made["band"] == made["gear_shares"][0]["band"]
 
 
-def test_model_and_gear_go_together(run, tmp_path: Path) -> None:
-    found = run(*f"excite --gear most --out {tmp_path / 'u.csv'}".split())
+@pytest.mark.parametrize("option", ["--gear most", "--speed 3"])
+def test_options_that_need_a_model(run, tmp_path: Path, option: str) -> None:
+    found = run(*f"excite {option} --out {tmp_path / 'u.csv'}".split())
     assert found.code == 2 and "--model" in found.err
     assert not list(tmp_path.iterdir())
 
@@ -74,8 +75,3 @@ def test_what_no_motion_can_be_designed_with(run, arm: str, tmp_path: Path, opti
     found = run(*f"{arm} {options}".split())
     assert found.code == 2 and words in found.err
     assert not (tmp_path / "u.csv").exists()
-
-
-def test_limits_belong_to_robots(run, tmp_path: Path) -> None:
-    found = run(*f"excite --speed 3 --out {tmp_path / 'u.csv'}".split())
-    assert found.code == 2 and "--model" in found.err

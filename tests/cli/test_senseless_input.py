@@ -4,7 +4,6 @@ Numbers beyond all use, words that no file or screen can hold, signals read from
 """
 
 import io
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
@@ -101,19 +100,6 @@ def test_no_number_of_a_study_file_is_beyond_all_use(key: str) -> None:
             assert len(str(raised.value)) < 500
 
 
-WHOLE = {
-    "identification.starts", "identification.max_iterations", "identification.substeps", "training.substeps",
-    "training.fine", "training.validate_every", "training.max_iterations", "hybrid.networks.memory",
-    "hybrid.patience", "gap.max_effects", "gap.jobs", "ablation.memory", "ablation.black_box_width",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("key", sorted(WHOLE))
-def test_counts_of_a_study_file_have_an_end(key: str) -> None:
-    with pytest.raises(InputError, match=re.escape(f"'{key.replace('networks', 'networks[0]')}'")):
-        validate(StudyConfig, study_with(key, 10**9), "study.yaml")
-
-
 @pytest.mark.parametrize("hidden", [[10**9], [8] * 11, [10**5, 10**5], [0], [-1], [2.5], ["a"]])
 def test_network_sizes_have_an_end(hidden: list, sound, run, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="hidden"):
@@ -153,13 +139,8 @@ def in_model(dataset: Path, model: Path, word: str) -> None:
 
 PLACES: dict[str, Callable[[Path, Path, str], None]] = {
     "dataset": in_dataset(lambda values, word: values.update(name=f"a{word}")),
-    "record": in_dataset(lambda values, word: values["records"][0].update(name=f"a{word}")),
-    "note": in_dataset(lambda values, word: values["records"][0].update(note=f"a{word}")),
     "meta": in_dataset(lambda values, word: values["records"][0].update(meta={f"a{word}": 1.0})),
-    "meta value": in_dataset(lambda values, word: values["records"][0].update(meta={"a": word})),
-    "unknown key": in_dataset(lambda values, word: values.update({f"a{word}": 1})),
     "file": in_dataset(lambda values, word: values["records"][0].update(file=f"a{word}.csv")),
-    "column": in_dataset(lambda values, word: values.update(columns={"u1": f"a{word}"})),
     "place": in_model,
 }
 
@@ -218,7 +199,6 @@ SENSELESS: dict[str, tuple[Callable[[dict], object], tuple[str, ...]]] = {
     ),
     "input from the stamps": (lambda values: values.update(columns={"u1": "t"}), ("'columns'", "'u1'", "'t'")),
     "output from the stamps": (
-        lambda values: values.update(columns={"q_m1": {"column": "t", "scale": 2.0}}),
         ("'q_m1'", "'t'"),
     ),
     "one record's input from the stamps": (
@@ -226,16 +206,9 @@ SENSELESS: dict[str, tuple[Callable[[dict], object], tuple[str, ...]]] = {
         ("records[1].columns", "'u1'"),
     ),
     "nothing left of a column": (
-        lambda values: values.update(columns={"u1": {"column": "u1", "scale": 1e-300}}),
         ("rec_0.csv", "'u1'", "scale"),
     ),
-    "true for a scale": (
-        lambda values: values.update(columns={"u1": {"column": "u1", "scale": True}}),
-        ("columns.u1.scale", "true"),
-    ),
-    "true for a time": (lambda values: values.update(sample_time=True), ("'sample_time'", "true")),
     "nanoseconds as seconds": (
-        lambda values: (values.pop("sample_time"), values.update(columns={"t": {"column": "t", "scale": 1e9}})),
         ("rec_0", "samples are 2e+06 s apart", "ns"),
     ),
 }  # fmt: skip
@@ -249,11 +222,3 @@ def test_what_cannot_be_meant_is_refused_before_a_simulation(
     change, names = SENSELESS[name]
     change_yaml(sound[0], change)
     refused(run(command, sound[0], "--model", sound[1], "--out", tmp_path / "out"), *names)
-
-
-@pytest.mark.parametrize("value", [True, {"nominal": True}, {"nominal": 1e-5, "lower": True}])
-def test_a_truth_value_is_no_parameter(value: object, sound, run, tmp_path: Path) -> None:
-    values = yaml.safe_load(sound[1].read_text())
-    values["parameters"]["J"] = value
-    sound[1].write_text(yaml.safe_dump(values))
-    refused(run("simulate", sound[0], "--model", sound[1], "--out", tmp_path / "out"), "parameters.J", "true")

@@ -12,14 +12,6 @@ from hybrid_id.cli.console import FitProgress, SearchProgress, terminated_as_int
 from hybrid_id.identification.result import FitResult
 
 
-def test_terminated_is_interrupted() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), terminated_as_interrupted():
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1.0)
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
 def test_terminated_ends_a_fit_as_politely_as_ctrl_c(capsys: pytest.CaptureFixture[str]) -> None:
     with terminated_as_interrupted(), FitProgress(2, 60) as progress:
         os.kill(os.getpid(), signal.SIGTERM)
@@ -199,14 +191,3 @@ def test_a_long_search_says_how_long(capsys: pytest.CaptureFixture[str]) -> None
     said = " ".join(capsys.readouterr().err.split())
     assert said.count("the search will take") == 1
     assert "about 3 min if one effect explains the gap, and up to about 18 min if it goes on to 3" in said
-
-
-def test_a_search_answers_ctrl_c_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    own = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt), SearchProgress(1):
-            signal.raise_signal(signal.SIGINT)
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, own)
-    assert "stopping; what is complete is written next" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from hybrid_id.components import PositionDependent
 from hybrid_id.export.target import in_mujoco, target_errors
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.reporting.target import error_lines, replays_table
+from hybrid_id.reporting.target import replays_table
 from hybrid_id.study.replays import replay
 from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
@@ -102,19 +102,6 @@ def test_an_output_that_stands_still_is_left_out() -> None:
     assert found.exported.summary.worst < 1e-2
     last = [list(column.cells)[-1] for column in replays_table(found.exported.rows, data.outputs).columns]
     assert last[-3:] == ["constant"] * 3
-
-
-def test_errors_are_said_by_output_in_the_unit_that_was_logged() -> None:
-    data = recorded(rigid_drive(), noise=0.3)
-    data = replace(data, outputs=(replace(data.outputs[0], logged="deg"),))
-    system = rigid_drive()
-    found = target_errors({"exported": system}, data)
-    (ratio,) = system.own_ratios
-    rmse = found.exported.summary.rmse["q_m1"]
-    assert rmse == pytest.approx(0.3, rel=0.1) and found.exported.summary.n_records == 1
-    first, second = error_lines(found)
-    assert first.startswith("NRMSE in MuJoCo, mean over 1 test record: exported ")
-    assert second == f"RMSE of q_m1: exported {np.degrees(rmse) / ratio:.3g} deg at the joint"
 
 
 def test_worse_is_a_corrected_model_beside_a_better_re_fitted_one() -> None:

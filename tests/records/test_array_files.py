@@ -102,11 +102,6 @@ def test_mat73_gives_the_record(tmp_path: Path, options: dict) -> None:
     np.testing.assert_array_equal(load_any(path, ["state(:,2)"]).columns["state(:,2)"], -ANGLE)
 
 
-def test_mat73_of_the_emps_layout(tmp_path: Path) -> None:
-    write_mat73(tmp_path / "run.mat", {"t": TIME, "qm": ANGLE, "qg": ANGLE, "vir": VOLTS, "gtau": 35.15})
-    np.testing.assert_array_equal(load_any(tmp_path / "run.mat", ["tau1"]).columns["tau1"], 35.15 * VOLTS)
-
-
 def test_mat73_that_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.mat"
     write_mat73(path, {"t": TIME, "u": VOLTS})

@@ -52,15 +52,6 @@ def test_close_to_the_best_fixed_window_which_nobody_knows(noise, rng):
     assert rms(slope - speed) < 1.3 * best[1]
 
 
-def test_rest_is_smoothed_more_than_motion_and_raw_differences_are_far_worse(rng):
-    truth, speed = stop_and_go()
-    y = truth + 1e-3 * rng.standard_normal(TIME.size)
-    _, slope, _ = smooth_derivatives(y, STEP)
-    rest = (TIME < 0.7) | (TIME > 6.3)
-    assert rms(slope[rest]) < 0.5 * rms((slope - speed)[~rest])
-    assert rms(np.gradient(y, STEP) - speed) > 10 * rms(slope - speed)
-
-
 def test_coarse_encoder_gives_no_spikes():
     truth, speed = stop_and_go()
     quantum = 2 * np.pi / 4096

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from record_formats import ANGLE, JOINTS, TIME, VOLTS, write_yaml
+from record_formats import ANGLE, JOINTS, TIME, VOLTS, write_lerobot, write_yaml
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
@@ -19,35 +19,12 @@ COLUMNS = {"u1": "action/0", "q_m1": "observation.state/shoulder_pan.pos"}
 
 
 def write_dataset(folder: Path, version: str, names: object = NAMES) -> str:
-    """Write three episodes of the record, the last two backwards and at half size; return the file of the third."""
-    (folder / "meta").mkdir(parents=True)
-    vector = {"dtype": "float32", "shape": [2], "names": names}
-    info = {
-        "codebase_version": version,
-        "fps": 50,
-        "features": {"observation.state": vector, "action": vector},
-    }
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    kind = pa.list_(pa.float32(), 2) if version == "v3.0" else pa.list_(pa.float32())
-    tables = []
-    for episode, (angle, volts) in enumerate([(-ANGLE, VOLTS), (ANGLE / 2, VOLTS), (ANGLE, VOLTS)]):
-        rows = {
-            "observation.state": pa.array(np.column_stack([angle, 0 * angle]).astype("f4").tolist(), kind),
-            "action": pa.array(np.column_stack([volts, -volts]).astype("f4").tolist(), kind),
-            "timestamp": pa.array(TIME.astype("f4")),
-            "frame_index": pa.array(np.arange(len(TIME))),
-            "episode_index": pa.array(np.full(len(TIME), episode)),
-            "task": pa.array(["turn"] * len(TIME)),
-        }
-        tables.append(pa.table(rows))
-    data = folder / "data" / "chunk-000"
-    data.mkdir(parents=True)
-    if version == "v3.0":
-        pq.write_table(pa.concat_tables(tables), data / "file-000.parquet", row_group_size=150)
-        return "data/chunk-000/file-000.parquet"
-    for episode, table in enumerate(tables):
-        pq.write_table(table, data / f"episode_{episode:06d}.parquet")
-    return "data/chunk-000/episode_000002.parquet"
+    """Write three episodes of the record, the first two backwards and at half size; return the file of the third."""
+    episodes = [
+        (TIME, np.column_stack([angle, 0 * angle]), np.column_stack([VOLTS, -VOLTS]))
+        for angle in (-ANGLE, ANGLE / 2, ANGLE)
+    ]
+    return write_lerobot(folder, episodes, {"observation.state": names, "action": names}, version)
 
 
 @pytest.mark.parametrize("names", [NAMES, {"motors": NAMES}])

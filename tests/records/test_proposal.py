@@ -9,23 +9,13 @@ import pytest
 from hybrid_id.records.column_words import read_name
 from hybrid_id.records.logs import Log, LogFile
 from hybrid_id.records.proposal import (
-    JointFacts,
-    angle_unit,
     sampling,
-    time_unit,
     wrap_period,
 )
 from hybrid_id.records.proposed_dataset import propose
 
 T = np.arange(0.0, 6.0, 0.005)
 ANGLE = 1.2 * np.sin(1.7 * T)
-ELBOW = JointFacts("elbow", -1.5, 1.5)
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
-def test_unit_of_time_by_step_and_span(factor: float, unit: str) -> None:
-    guess = time_unit(factor * T)
-    assert (guess.value, guess.sure) == (unit, True)
 
 
 def test_a_joints_name_is_no_unit() -> None:
@@ -57,20 +47,6 @@ def test_a_joints_name_is_no_unit() -> None:
 def test_what_a_name_says(name: str, kind: str, command: bool, unit: str, joint: str) -> None:
     words = read_name(name, ["shoulder_pan", "elbow"])
     assert (words.kind, words.command, words.unit, words.joint) == (kind, command, unit, joint)
-
-
-@pytest.mark.parametrize(
-    ("values", "joint", "unit"),
-    [
-        (np.degrees(ANGLE), ELBOW, "deg"),
-        (ANGLE, ELBOW, "rad"),
-        (np.round(ANGLE * 4096 / 2 / math.pi) + 2048, ELBOW, "counts"),
-        (np.round(np.degrees(ANGLE) / (360 / 4096)) * 360 / 4096, None, "deg"),
-        (np.round(ANGLE * 1024) / 1024, None, "rev"),
-    ],
-)
-def test_unit_of_an_angle(values: np.ndarray, joint: JointFacts | None, unit: str) -> None:
-    assert angle_unit([values], [T], "unit of q", joint=joint).value == unit
 
 
 def test_jumps_of_a_turn_and_jitter_are_seen() -> None:

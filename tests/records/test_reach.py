@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from gapcase import small_case
 
-from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import beyond
 
 
@@ -24,14 +24,6 @@ def test_a_test_record_with_larger_commands_is_told_with_channel_and_sizes() -> 
     (words,) = beyond(with_test(dataset, inputs={"u1": u1}))
     assert words.startswith(f"test record {test.name} goes where no train record has been (u1 ")
     assert f"u1 {3.0 * most:.3g} against {most:.3g} V" in words
-
-
-def test_a_number_without_a_unit_is_told_without_one() -> None:
-    dataset, _ = small_case()
-    records = tuple(replace(r, inputs={"duty1": r.inputs["u1"] / 24.0}) for r in dataset.records)
-    plain = replace(dataset, records=records, inputs=(Channel("duty1", "1"),))
-    (words,) = beyond(with_test(plain, inputs={"duty1": 3.0 * plain.train[0].inputs["duty1"]}))
-    assert words.split("(duty1 ")[1].count(" ") == 2, "no ' 1' behind the number"
 
 
 def test_a_faster_test_record_is_told() -> None:

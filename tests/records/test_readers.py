@@ -1,7 +1,6 @@
 # pyright: reportCallIssue=false
 import gzip
 import json
-import os
 
 import numpy as np
 import pandas as pd
@@ -29,17 +28,6 @@ COLUMNS = {"t": [0.0, 0.5, 1.0], "u1": [1.5, -2.0, 3e-5]}
         "# t u1\n0 1.5\n0.5 -2\n1 3e-5\n",
         "% recorded in May\n\nt,u1,\n0,1.5,\n\n0.5,-2,\n1,3e-5,\n",
         "\ufefft,u1\n0,1.5\n0.5,-2\n1,3e-5\n",
-    ],
-    ids=[
-        "comma",
-        "blanks and text",
-        "tab and quotes",
-        "decimal comma",
-        "tab and decimal comma",
-        "blanks",
-        "savetxt",
-        "remarks",
-        "BOM",
     ],
 )
 def test_dialects_of_text_tables(text: str, tmp_path) -> None:
@@ -82,12 +70,6 @@ def test_dates_have_no_unit_of_their_own(tmp_path) -> None:
     (tmp_path / "dataset.yaml").write_text(text + "columns: {t: {column: clock, unit: ms}}\n")
     with pytest.raises(InputError, match="column 'clock' holds dates, which are read as seconds; leave out"):
         Dataset.load(tmp_path)
-
-
-def test_a_pipe_is_no_record(tmp_path) -> None:
-    os.mkfifo(tmp_path / "a.csv")
-    with pytest.raises(InputError, match="is a pipe or a device"):
-        load_any(tmp_path / "a.csv", ["u1"])
 
 
 def test_emps_layout_needs_no_column_map(tmp_path) -> None:

@@ -88,38 +88,27 @@ def dataset(
     return Dataset("drive", (Channel("u1", "V"),), declared, tuple(records), STEP)
 
 
-@pytest.mark.parametrize("sensor", ["i1", "tau1"])
-@pytest.mark.parametrize("winding", [0.0, 2e-4])
-def test_a_late_current_is_found(winding: float, sensor: str) -> None:
-    """Within 0.1 ms; a winding's time constant of a fifth of a sample cannot be told from it and counts with it."""
+@pytest.mark.parametrize(
+    ("channels", "channel", "late", "drive", "within"),
+    [
+        (("i1", "q_m1"), "i1", 9e-4, {"winding": 0.0}, (1e-4, 1e-4)),
+        (("i1", "q_m1"), "i1", 9e-4, {}, (1e-4, 4e-4)),  # a fifth of a sample of the winding's counts with it
+        (("tau1", "q_m1"), "tau1", 9e-4, {}, (1e-4, 4e-4)),
+        (("q_m1", "v_m1"), "v_m1", 9e-4, {}, (1e-4, 1e-4)),
+        (("q_m1", "v_m1"), "q_m1", 9e-4, {}, (1e-4, 1e-4)),
+        (("q_m1", "q_a1"), "q_m1", 2e-3, {}, (1e-4, 1e-4)),
+        (("q_m1", "q_a1"), "q_a1", 2e-3, {}, (1e-4, 1e-4)),
+        (("i1", "q_m1"), "q_m1", 1.5e-3, {"winding": 0.0}, (1e-4, 1e-4)),
+        (("i1", "q_m1"), "q_m1", 3e-3, {"dead": 0.3, "sag": 0.05}, (5e-4, 5e-4)),  # behind a poor driver
+    ],
+)
+def test_a_late_channel_is_found(
+    channels: tuple[str, ...], channel: str, late: float, drive: dict, within: tuple[float, float]
+) -> None:
     for seed in range(3):
-        (skew,) = find_skews(dataset(seed, channels=(sensor, "q_m1"), late={sensor: 9e-4}, winding=winding))
-        assert skew.channel == sensor and skew.against == ("u1", "q_m1")
-        assert -1e-4 < skew.late - 9e-4 < 1e-4 + winding * 1.5
+        (skew,) = find_skews(dataset(seed, channels=channels, late={channel: late}, **drive))
+        assert skew.channel == channel and -within[0] < skew.late - late < within[1]
         assert skew.std_error < 2e-4
-
-
-@pytest.mark.parametrize("channel", ["v_m1", "q_m1"])
-def test_a_late_speed_or_angle_is_found(channel: str) -> None:
-    for seed in range(3):
-        (skew,) = find_skews(dataset(seed, channels=("q_m1", "v_m1"), late={channel: 9e-4}))
-        assert skew.channel == channel
-        assert skew.late == pytest.approx(9e-4, abs=1e-4)
-
-
-@pytest.mark.parametrize("channel", ["q_m1", "q_a1"])
-def test_a_late_encoder_is_found(channel: str) -> None:
-    for seed in range(3):
-        (skew,) = find_skews(dataset(seed, channels=("q_m1", "q_a1"), late={channel: 2e-3}))
-        assert skew.channel == channel
-        assert skew.late == pytest.approx(2e-3, abs=1e-4)
-
-
-def test_an_angle_late_against_voltage_and_current_is_named_itself() -> None:
-    for seed in range(3):
-        (skew,) = find_skews(dataset(seed, channels=("i1", "q_m1"), late={"q_m1": 1.5e-3}, winding=0.0))
-        assert skew.channel == "q_m1"
-        assert skew.late == pytest.approx(1.5e-3, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -196,10 +185,3 @@ def test_skew_in_a_dataset_file(tmp_path: Path) -> None:
         Dataset.load(tmp_path)
     with pytest.raises(InputError, match="no channel 'i1'"):
         loaded.without_skew({"i1": 0.001})
-
-
-def test_a_late_angle_is_found_behind_a_poor_driver() -> None:
-    for seed in range(3):
-        late = dataset(seed, channels=("i1", "q_m1"), late={"q_m1": 3e-3}, dead=0.3, sag=0.05)
-        (skew,) = find_skews(late)
-        assert skew.channel == "q_m1" and skew.late == pytest.approx(3e-3, abs=5e-4)

@@ -42,12 +42,6 @@ def test_part_of_a_period_is_recognised_and_said():
     assert np.all(relative_errors(result, truth, result.valid) < [1e-4, 1e-3, 2e-3])
 
 
-def test_the_same_record_taken_for_periodic_is_useless():
-    truth = sine(1.237)
-    result = differentiate(truth[0], STEP, band=(0, 10), periodic=True)
-    assert relative_errors(result, truth, result.valid)[2] > 0.3
-
-
 def test_trend_and_sine_are_both_differentiated():
     trend = np.stack([TIME + 0.1 * TIME**2, 1 + 0.2 * TIME, np.full(TIME.size, 0.2)])
     truth = sine(1.237) + trend

@@ -99,13 +99,6 @@ def test_a_fault_is_told_by_its_row_in_the_file(
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_a_window_of_a_file_without_rows(rng: np.random.Generator, tmp_path: Path, ending: str) -> None:
-    WRITERS[ending](table(rng).iloc[:0], tmp_path / f"long.{ending}")
-    with pytest.raises(InputError, match="long"):
-        Dataset.load(described(tmp_path, f"long.{ending}"))
-
-
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_a_part_of_channels_recorded_late_is_that_of_the_whole(
     rng: np.random.Generator, tmp_path: Path, ending: str
 ) -> None:
@@ -119,23 +112,6 @@ def test_a_part_of_channels_recorded_late_is_that_of_the_whole(
         same, found = data["whole"].between(*part), data[f"part_{k}"]
         np.testing.assert_array_equal(found.time, same.time)
         np.testing.assert_allclose(found.outputs["q_m1"], same.outputs["q_m1"], atol=1e-12)
-
-
-def test_a_missing_stamp_inside_a_window_is_told(rng: np.random.Generator, tmp_path: Path) -> None:
-    frame = table(rng)
-    frame.loc[100, "t"] = np.nan
-    frame.to_parquet(tmp_path / "long.parquet")
-    with pytest.raises(InputError, match=r"row 101\b.*nan"):
-        Dataset.load(described(tmp_path, "long.parquet", parts=PARTS[:1]))
-
-
-def test_a_window_beside_the_record_says_what_the_record_has(
-    rng: np.random.Generator, tmp_path: Path
-) -> None:
-    table(rng).to_csv(tmp_path / "long.csv", index=False)
-    described(tmp_path, "long.csv", parts=[(50.0, 60.0)])
-    with pytest.raises(InputError, match=r"its stamps run from 0 s to 1\.998 s"):
-        Dataset.load(tmp_path)
 
 
 def test_turns_are_counted_from_the_files_start(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.arm import ArmDiagnosis
-from hybrid_id.reporting.arm_diagnosis import arm_headline, joints_table, remark_lines
+from hybrid_id.reporting.arm_diagnosis import joints_table, remark_lines
 
 pytest.importorskip("mujoco")
 
@@ -19,34 +19,6 @@ def found(mended_arm) -> ArmDiagnosis:
 def cells(found: ArmDiagnosis) -> dict[str, list[str]]:
     """The table of joints, column by column."""
     return {str(c.header): [str(cell) for cell in c.cells] for c in joints_table(found).columns}
-
-
-def test_each_model_has_a_column_of_errors_of_its_own(found: ArmDiagnosis) -> None:
-    shown = cells(found)
-    heads = ["RMSE nominal (rad)", "RMSE re-fitted (rad)", "RMSE corrected (rad)"]
-    assert list(shown)[-3:] == heads
-    row = shown["joint"].index("elbow")
-    nominal, refitted, corrected = (float(shown[head][row]) for head in heads)
-    assert nominal > refitted > corrected
-
-
-def with_share(found: ArmDiagnosis, share: float) -> ArmDiagnosis:
-    """The same with a further effect selected at the elbow, which explains some share of that joint's gap."""
-    elbow = found.joints["elbow"]
-    first, second, *others = elbow.effects
-    more = replace(second, selected=True, share=share, share_interval=(0.0, 2 * share))
-    joints = {**found.joints, "elbow": replace(elbow, effects=(first, more, *others))}
-    return replace(found, joints=joints)
-
-
-def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None:
-    name = found.joints["elbow"].effects[1].name.replace("_", " ")
-    some = with_share(found, 0.02)
-    assert f"and {name} at elbow 2 %" in arm_headline(some) and name in cells(some)["lacks"][0]
-    nothing = with_share(found, 0.002)
-    assert name not in arm_headline(nothing) and name not in "".join(cells(nothing)["lacks"])
-    said = f"also fitted, negligible (less than 0.5 % of any gap): {name} at elbow."
-    assert said in remark_lines(nothing) and said not in remark_lines(some)
 
 
 def test_ties_are_said_where_the_effect_matters_to_the_robot(found: ArmDiagnosis) -> None:
@@ -74,11 +46,6 @@ def test_where_records_differ_a_joint_is_said_to_lack_nothing(found: ArmDiagnosi
         said = " ".join(remark_lines(robot))
         assert ("values differ from record to record" in said) == bool(varying)
         assert ("values differ from record to record" in "".join(cells(robot)["lacks"])) == bool(varying)
-
-
-def test_the_robots_page_has_the_records_of_all_joints(mended_arm, found: ArmDiagnosis) -> None:
-    assert found.dataset is mended_arm[0] and found.case == "arm"
-    assert len(found.dataset.outputs) == 3 and len(found.joints["pan"].details.dataset.outputs) == 1
 
 
 def test_what_acts_on_all_joints_has_its_size_at_each_that_has_it(found: ArmDiagnosis) -> None:

@@ -6,28 +6,21 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 from drives import make_records, multisine, only, rigid_drive
 from rich.console import Console
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.excitation import design_multisine
 from hybrid_id.reporting.results import as_json, study_result, write_parameters
 from hybrid_id.reporting.study import study_table
 from hybrid_id.reporting.study_figures import (
     comparison_figure,
     cross_validation_figure,
-    excitation_figure,
-    fit_figure,
     parameter_figure,
-    residual_figure,
-    study_figures,
-    truth_figure,
 )
-from hybrid_id.reporting.style import pixels, power_of_ten, save, symbol
-from hybrid_id.reporting.tables import comparison_table, identifiability_table, model_means_table, truth_table
+from hybrid_id.reporting.style import pixels
+from hybrid_id.reporting.tables import comparison_table, identifiability_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.study import (
     Comparison,
@@ -37,7 +30,6 @@ from hybrid_id.study import (
     check_priors,
     compare,
     identify,
-    replay,
 )
 from hybrid_id.study.replays import beside_nominal
 
@@ -72,70 +64,6 @@ def text_of(part: object) -> str:
     with console.capture() as capture:
         console.print(part)
     return capture.get()
-
-
-def labels(figure) -> list[str]:
-    return [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
-
-
-@pytest.mark.parametrize(
-    ("name", "printed"),
-    [
-        ("f_11", r"$f_{\mathrm{11}}$"),
-        ("J", "$J$"),
-        ("q_m1", r"$q_{\mathrm{m1}}$"),
-        ("u1", r"$u_{\mathrm{1}}$"),
-        ("sigma_0", r"$\sigma_{\mathrm{0}}$"),
-        ("F_va", r"$F_{\mathrm{va}}$"),
-        ("alpha", r"$\alpha$"),
-        ("sigma", r"$\sigma$"),
-        ("gap", "gap"),
-        ("rotor_share", r"$\mathrm{rotor}_{\mathrm{share}}$"),
-        ("F_c_joint1_motor_friction_coulomb", "F_c_joint1_motor_friction_coulomb"),
-    ],
-)
-def test_symbols_are_typeset(name: str, printed: str) -> None:
-    assert symbol(name) == printed
-
-
-@pytest.mark.parametrize(
-    ("largest", "exponent"), [(0.0, 0), (2.4e-5, -6), (0.02, 0), (0.009, -3), (150.0, 0), (5e4, 3)]
-)
-def test_axes_are_scaled_by_powers_of_a_thousand(largest: float, exponent: int) -> None:
-    assert power_of_ten(np.array([0.0, -largest])) == exponent
-
-
-def test_pictures_have_labels_with_units(dataset: Dataset, study: Study, tmp_path: Path) -> None:
-    before = dict(matplotlib.rcParams)
-    comparison = compare(dataset, {"start": study.system, "identified": study.selected_model})
-    means = comparison.mean_error
-    assert means["start"] == pytest.approx(np.mean(comparison.table("nrmse")["start"]))
-    assert means["identified"] < means["start"]
-    assert model_means_table(comparison).row_count == 2 * len(comparison.signals)
-    figures = {
-        "parameters": parameter_figure(study),
-        "cross_validation": cross_validation_figure(study),
-        "residuals": residual_figure(study, 0.002),
-        "truth": truth_figure(study, TRUTH),
-        "fit": fit_figure(dataset, comparison.replays["identified"][2]),
-        "comparison": comparison_figure(dataset, comparison, "run_0"),
-        "excitation": excitation_figure(
-            design_multisine(
-                (1.0, 5.0), sample_time=0.01, duration=2.0, amplitude_limits=5.0, tones=4, starts=1
-            )
-        ),
-    }
-    for name, figure in figures.items():
-        save(figure, tmp_path / f"{name}.png")
-        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-        assert labels(figure), name
-    assert dict(matplotlib.rcParams) == before
-    assert len(figures["parameters"].axes) == 6  # five parameters in rows of three
-    assert len(figures["fit"].axes) == 5  # two outputs with residuals, one input
-    assert "time [s]" in labels(figures["fit"])
-    assert any("rad" in text for text in labels(figures["fit"]))
-    assert any("[V]" in text for text in labels(figures["comparison"]))
-    assert "2 records" not in labels(figures["truth"])
 
 
 def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Study, study: Study) -> None:
@@ -252,17 +180,6 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
         k = study.names.index(row["parameter"])
         i = [r.records[0] for r in study.sets].index(row["set"])
         assert math.isclose(float(row["value"]), study.values[i, k], rel_tol=1e-9)
-
-
-def test_pictures_of_one_set_and_names_of_records(dataset: Dataset, study: Study, pooled: Study) -> None:
-    assert set(study_figures(dataset, pooled, replay(dataset, pooled.selected.system))) == {
-        "parameters", "residuals", *(f"fit_run_{k}" for k in range(3)),
-    }  # fmt: skip
-    ticks = [text.get_text() for text in parameter_figure(study).axes[-2].get_xticklabels()]
-    assert ticks == ["run_0", "run_1"]
-    outputs = residual_figure(study, 0.002).axes[1]
-    names = [text.get_text() for text in outputs.get_legend().get_texts()]
-    assert all("RMS" in name for name in names[:2])
 
 
 def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -> None:

@@ -55,19 +55,6 @@ def test_what_is_not_supported_is_refused(tmp_path, world, rest, words):
     assert str(error.value).startswith(str(tmp_path / "robot.xml"))
 
 
-def test_a_urdf_joint_that_is_not_supported_is_named(tmp_path):
-    inertial = (
-        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
-    path = tmp_path / "robot.urdf"
-    path.write_text(
-        f'<robot name="r"><link name="base">{inertial}</link><link name="hand">{inertial}</link>'
-        '<joint name="wrist" type="floating"><parent link="base"/><child link="hand"/></joint></robot>'
-    )
-    with pytest.raises(InputError, match="free joint can only be used on top level"):
-        load_tree(path)
-
-
 def test_a_joint_that_mimics_another_is_named_and_can_be_held(tmp_path):
     link = (
         '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'

@@ -29,10 +29,6 @@ def test_the_papers_rule_rewards_a_uniformly_bad_set():
     assert "would select c" in selection.summary()
 
 
-def test_both_rules_agree_where_nothing_is_bad():
-    assert "selects the same set" in select(matrix([[95, 85], [92, 92.5]])).summary()
-
-
 def test_signals_are_averaged():
     fits = np.array([[[90, 80], [80, 90]], [[90, 84], [88, 80]]], float)  # (2 sets, 2 records, 2 signals)
     assert select(cross_validation(fits)).index == 0
@@ -56,11 +52,6 @@ def test_a_constant_signal_leaves_the_others_to_stand_for_the_record():
     fits = np.array([[[90, np.nan], [80, 90]], [[50, np.nan], [50, 50]]], float)
     selection = select(cross_validation(fits))
     assert selection.mean[0] == pytest.approx(87.5)
-
-
-def test_a_summary_names_sets_and_their_spread():
-    cross = matrix([[100, 60], [70, 100]], set_names=["two", "three"])
-    assert "three" in cross.summary() and "std" in cross.summary()
 
 
 def test_names_must_fit():

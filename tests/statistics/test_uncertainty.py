@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from hybrid_id.statistics.uncertainty import (
+    autocorrelation_robust,
     block_contributions,
     covariance,
     jackknife_covariance,
@@ -27,22 +28,27 @@ def test_plain_is_the_textbook_for_white_noise(regression, least_squares):
     np.testing.assert_allclose(known.matrix, np.linalg.inv(design.T @ design), atol=1e-15)
 
 
-def test_robust_agrees_with_plain_for_white_noise(regression, least_squares):
-    design, noise, _ = regression()
-    residual = least_squares(design, noise[0])[1]
-    ratio = robust_covariance(design, residual).std_error / covariance(design, residual).std_error
-    np.testing.assert_allclose(ratio, 1, atol=0.15)
+ROBUST = pytest.mark.parametrize("way", [robust_covariance, jackknife_covariance])
 
 
+@ROBUST
+def test_robust_agrees_with_plain_for_white_noise(regression, least_squares, way):
+    design, noise, _ = regression(replicates=10)
+    residuals = [least_squares(design, e)[1] for e in noise]
+    ratios = [way(design, r).std_error / covariance(design, r).std_error for r in residuals]
+    np.testing.assert_allclose(np.mean(ratios, axis=0), 1, atol=0.15)
+
+
+@ROBUST
 @pytest.mark.parametrize("correlation", [0.7, 0.95, 0.98])
 def test_plain_is_too_confident_for_correlated_noise_and_robust_is_right(
-    correlation, regression, least_squares
+    correlation, regression, least_squares, way
 ):
     design, noise, truth = regression(correlation=correlation, replicates=20)
     residuals = [least_squares(design, e)[1] for e in noise]
     true_error = np.sqrt(np.diag(truth))
     plain = np.mean([covariance(design, r).std_error for r in residuals], axis=0) / true_error
-    robust = np.mean([robust_covariance(design, r).std_error for r in residuals], axis=0) / true_error
+    robust = np.mean([way(design, r).std_error for r in residuals], axis=0) / true_error
     assert plain.max() < 1.1 * np.sqrt((1 - correlation) / (1 + correlation))
     np.testing.assert_allclose(robust, 1, atol=0.2)
 
@@ -106,7 +112,7 @@ def test_prior_enters_as_one_more_measurement(regression):
 def test_undetermined_parameters_have_infinite_errors_and_the_others_keep_theirs(rng):
     column = rng.standard_normal((400, 2))
     jacobian = np.column_stack([column[:, 0], 3 * column[:, 0], column[:, 1]])
-    for way in (covariance, robust_covariance):
+    for way in (covariance, robust_covariance, jackknife_covariance):
         error = way(jacobian, rng.standard_normal(400)).std_error
         assert np.isinf(error[:2]).all()
         assert error[2] == pytest.approx(1 / 20, rel=0.2)
@@ -140,3 +146,21 @@ def test_beside_a_prior_errors_are_those_of_the_fit_that_weighs_noise_as_declare
     blocks = block_contributions(design, residual, block=10)
     drawn = one_step_bootstrap(found[0], blocks, prior_precision=prior, prior_mean=found[0]).std_error
     np.testing.assert_allclose(drawn, scatter, rtol=0.25)
+
+
+def test_the_larger_of_the_two_robust_ways_is_used(regression, least_squares):
+    design, noise, _ = regression(n_samples=1500, correlation=0.9)
+    residual = least_squares(design, noise[0])[1]
+    both = [way(design, residual).std_error for way in (robust_covariance, jackknife_covariance)]
+    used = autocorrelation_robust(design, residual).std_error
+    assert any(np.array_equal(used, one) for one in both)
+    assert np.prod(used) >= max(np.prod(one) for one in both) - 1e-30
+
+
+@pytest.mark.filterwarnings("error")
+def test_parameter_that_moves_nothing_is_not_told(rng):
+    jacobian = rng.normal(size=(200, 1, 3))
+    jacobian[..., 1] = 0.0
+    told = jackknife_covariance(jacobian, rng.normal(size=(200, 1)))
+    assert np.isinf(told.std_error[1])
+    assert np.isfinite(told.std_error[[0, 2]]).all()

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from drives import flexible_drive, make_record, make_records, multisine, rigid_drive
@@ -244,17 +243,6 @@ def test_physics_of_a_hybrid_cell_is_that_of_physics_only(
     assert [rung.price for rung in result.rungs] == [math.inf, 1.0]
     assert {"loss/train", "loss/validation", "parameters/joint1/J"} <= set(result.history)
     assert run_cells(task, cells, lambda name: tmp_path / f"{name}.json")[0] == [result]  # as it was kept
-
-
-def test_errors_beside_a_network_allow_for_correlated_residuals(
-    task: Task, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def large(jacobians, residuals, prior):
-        return np.full(len(prior), 1e6)
-
-    monkeypatch.setattr("hybrid_id.study.ablation.correlated_errors", large)
-    for rung in run_cell(task, cell(task, STATIC)).rungs:
-        assert all(error > 100.0 * abs(rung.values[name]) for name, error in rung.std_errors.items())
 
 
 def test_a_network_alone_is_trained_by_the_same_machinery(task: Task) -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from hybrid_id.errors import InputError
-from hybrid_id.study.ablation import BLACK_BOX, Arm, Cell, CellResult, Rung, Split
+from hybrid_id.study.ablation import Arm, Cell, CellResult, Rung, Split
 from hybrid_id.study.ablation_result import HYBRID, OPEN, PHYSICS, Ablation, answer, gather, verdict
 
 NETWORK, OTHER = Arm("static", ("joint1/motor",), 8), Arm("memory", ("joint1/motor",), 8)
@@ -82,16 +82,6 @@ def test_cautions_are_said() -> None:
     assert "Out of range it helps" in words and "physical" not in words
 
 
-def test_what_is_taken_out_and_the_network_alone_have_their_sentences() -> None:
-    less, both = (Arm(without=("F_v",)), Arm("static", ("joint1/motor",), 8, ("F_v",)))
-    alone = Arm(BLACK_BOX, (), 16)
-    words = " ".join(
-        verdict(compared({NETWORK: [0.3] * 5, less: [3.0] * 5, both: [1.5] * 5, alone: [7.0] * 5}))
-    )
-    assert "Without F_v physics only has a test error of 3.00 x" in words and "it is 1.50 x" in words
-    assert "A network alone has a test error of 7.00 x" in words
-
-
 def test_a_broken_cell_takes_only_itself_out() -> None:
     cells = [cell(Arm(), s, e) for s, e in enumerate(PHYSICS_ERROR)]
     cells += [cell(NETWORK, s, 0.3 * e) for s, e in enumerate(PHYSICS_ERROR) if s != 2]
@@ -109,21 +99,6 @@ def test_one_repeat_has_no_interval_and_no_answer() -> None:
     assert "test error -75.0 % (one repeat, no interval);" in words and "nan" not in words
 
 
-def test_no_repeat_in_common_has_no_number() -> None:
-    words = " ".join(verdict(gather([cell(Arm(), 0, math.inf), cell(NETWORK, 0, 1.0)])))
-    assert "no finite ratio in any repeat" in words and "nan" not in words
-
-
 def test_physics_only_alone_answers_nothing() -> None:
     result = gather([cell(Arm(), 0, 4.0)])
     assert result.best is None and "nothing can be said" in verdict(result)[0]
-
-
-def test_a_network_that_diverges_out_of_range_is_not_said_to_help_there() -> None:
-    result = compared({NETWORK: [0.30, 0.32, 0.29, 0.31, 0.30]}, far=1.0)
-    assert any(line.startswith("Out of range it helps") for line in verdict(result))
-    cells = [cell(Arm(), seed, error, validation=3.0) for seed, error in enumerate(PHYSICS_ERROR)]
-    far = [1.0, 1.0, 1.0, math.inf, math.inf]
-    cells += [cell(NETWORK, s, 0.3 * e, far=far[s]) for s, e in enumerate(PHYSICS_ERROR)]
-    words = [line for line in verdict(gather(cells)) if line.startswith("Out of range")]
-    assert words[0].startswith("Out of range it harms: its runs diverged in 2 of 5 repeats")

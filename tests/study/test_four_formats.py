@@ -1,20 +1,17 @@
 """One uniform record, written as a ROS 1 bag, as MCAP, as a LeRobot dataset and as CSV, gives one and the same fit."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import yaml
 from drives import make_records, multisine, rigid_drive
+from record_formats import write_lerobot
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.readers.bag import ARRAY, JOINT_STATE, _typestore
 from hybrid_id.records.record import Record
 from hybrid_id.study import identify
 
@@ -37,51 +34,21 @@ def as_csv(folder: Path, record: Record) -> dict:
 
 def as_lerobot(folder: Path, record: Record) -> dict:
     names = {"observation.state": ["elbow.pos"], "action": ["elbow.volts"]}
-    features = {name: {"dtype": "float32", "shape": [1], "names": own} for name, own in names.items()}
-    (folder / "meta").mkdir()
-    info = {"codebase_version": "v3.0", "fps": FPS, "features": features}
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    vector = pa.list_(pa.float32(), 1)
-    values = {"observation.state": record.outputs["q_m1"], "action": record.inputs["u1"]}
-    rows = {name: pa.array(one.astype("f4")[:, None].tolist(), vector) for name, one in values.items()}
-    rows |= {
-        "frame_index": np.arange(record.n_samples),
-        "episode_index": np.zeros(record.n_samples, dtype=int),
-    }
-    (folder / "data").mkdir()
-    pq.write_table(pa.table(rows), folder / "data" / "file-000.parquet")
+    values = record.outputs["q_m1"][:, None], record.inputs["u1"][:, None]
+    file = write_lerobot(folder, [(record.time, *values)], names, fps=FPS)
     columns = {"u1": "action/elbow.volts", "q_m1": "observation.state/elbow.pos"}
-    return {"format": "lerobot", "columns": columns, "records": [{"file": "data/file-000.parquet"}]}
+    return {"format": "lerobot", "columns": columns, "records": [{"file": file}]}
 
 
 def as_bag(folder: Path, record: Record, ros1: bool) -> dict:
-    pytest.importorskip("rosbags")
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
+    from bags import array, joint_state, write_bag
 
-    store = _typestore(ros1)
-    types, name = store.types, "run.bag" if ros1 else "run"
-    writer = (
-        Writer1(folder / name)
-        if ros1
-        else Writer2(folder / name, version=9, storage_plugin=StoragePlugin.MCAP)
-    )
-    pack = store.serialize_ros1 if ros1 else store.serialize_cdr
-    layout, none = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0), np.empty(0)
-    with writer:
-        topics = {"/joint_states": JOINT_STATE, "/commands": ARRAY}
-        at = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
-        for time, volts, angle in zip(record.time, record.inputs["u1"], record.outputs["q_m1"], strict=True):
-            stamp = 1_700_000_000_000_000_000 + round(1e9 * time)
-            parts = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-            header = types["std_msgs/msg/Header"](**({"seq": 0} if ros1 else {}), stamp=parts, frame_id="")
-            state = types[JOINT_STATE](
-                header=header, name=["elbow"], position=np.array([angle]), velocity=none, effort=none
-            )
-            command = types[ARRAY](layout=layout, data=np.array([volts]))
-            writer.write(at["/commands"], stamp, pack(command, ARRAY))
-            writer.write(at["/joint_states"], stamp, pack(state, JOINT_STATE))
+    name, messages = "run.bag" if ros1 else "run", []
+    for time, volts, angle in zip(record.time, record.inputs["u1"], record.outputs["q_m1"], strict=True):
+        stamp = 1_700_000_000_000_000_000 + round(1e9 * time)
+        messages.append(("/commands", stamp, array([volts], ros1)))
+        messages.append(("/joint_states", stamp, joint_state(stamp, {"elbow": angle}, ros1, velocity=False)))
+    write_bag(folder / name, messages, kind="ros1" if ros1 else "mcap")
     columns = {"t": "/joint_states", "u1": "/commands/data/0", "q_m1": "/joint_states/position/elbow"}
     return {"columns": columns, "records": [{"file": name if ros1 else "run/run.mcap"}]}
 

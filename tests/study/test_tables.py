@@ -11,7 +11,6 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id import Channel, Dataset
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.study import Study, identify
-from hybrid_id.study.result import as_html
 
 BAD = "<script>alert(1)</script>"
 
@@ -84,8 +83,3 @@ def test_notebook_shows_a_diagnosis(diagnosed) -> None:
     assert sound_html(text)
     assert "&lt;script&gt;" in text and "verdict: effects" in text and "spring_load" in text
     assert sound_html(replace(found, effects=(), verdict="no_gap")._repr_html_())
-
-
-def test_no_word_is_markup() -> None:
-    text = as_html(BAD, pd.DataFrame({BAD: [BAD, None]}), [BAD, "a & b"])
-    assert sound_html(text) and text.count("&lt;script&gt;") == 4 and "a &amp; b" in text
