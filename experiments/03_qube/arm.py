@@ -23,7 +23,7 @@ from hybrid_id.statistics.uncertainty import autocorrelation_robust, covariance
 from hybrid_id.statistics.variation import mean_interval, variation
 from hybrid_id.study import Study
 from hybrid_id.study.checks import identifiability_of
-from hybrid_id.study.replays import engine_error
+from hybrid_id.study.replay import engine_error
 
 HERE = Path(__file__).parent
 OPTIONS = Options(max_iterations=200)

@@ -32,7 +32,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.statistics.variation import PairedDifference, paired_difference
-from hybrid_id.study.replays import batch_of, weighted_errors
+from hybrid_id.study.replay import batch_of, weighted_errors
 from hybrid_id.systems.by_joint import (
     joint_number,
     moving_records,

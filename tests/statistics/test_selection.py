@@ -58,11 +58,6 @@ def test_a_constant_signal_leaves_the_others_to_stand_for_the_record():
     assert selection.mean[0] == pytest.approx(87.5)
 
 
-def test_a_summary_names_sets_and_their_spread():
-    cross = matrix([[100, 60], [70, 100]], set_names=["two", "three"])
-    assert "three" in cross.summary() and "std" in cross.summary()
-
-
 def test_names_must_fit():
     with pytest.raises(InputError, match="2 names"):
         matrix(np.ones((3, 3)), set_names=["a", "b"])
