@@ -1,19 +1,15 @@
 """`export`: the files, what is said about them, and wrong input."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from command_line import whole
 from drives import rigid_drive
 
 from hybrid_id.cli.export import _label as label_of
 from hybrid_id.cli.export import _run_of as run_of
 from hybrid_id.cli.folder import result_file
-from hybrid_id.cli.options import ABOVE
 from hybrid_id.components.load.residual_torque import ResidualTorque
 
 
@@ -155,16 +151,6 @@ def test_folders_above_a_file_are_made_and_go_with_it(run, drive: Path, tmp_path
     with pytest.raises(ZeroDivisionError), result_file(tmp_path / "c" / "d" / "e.json", force=False):
         raise ZeroDivisionError
     assert not list((tmp_path / "c").iterdir())
-
-
-def test_every_out_says_what_becomes_of_folders_above_it() -> None:
-    def helps(group: Any, path: str = "") -> Iterator[tuple[str, str]]:
-        for name, one in getattr(group, "commands", {}).items():
-            yield from helps(one, f"{path} {name}")
-        yield from ((path, one.help or "") for one in group.params if "--out" in one.opts)
-
-    found = dict(helps(whole()))
-    assert len(found) > 10 and [path for path, words in found.items() if ABOVE not in words] == []
 
 
 def test_file_is_kept_unless_it_may_be_overwritten(run, drive: Path, tmp_path: Path) -> None:

@@ -476,18 +476,6 @@ def test_a_compliant_gear_is_rigid_there_and_replays_all_the_same(tmp_path: Path
     assert far[1] < 0.02 < far[0], "what is left out matters where the spring is soft"
 
 
-def test_twelve_joints(tmp_path: Path) -> None:
-    bodies = "".join(
-        f'<body pos="0 0 {-0.1 if k else 0}"><joint name="j{k}" axis="{k % 2} {1 - k % 2} 0" armature="0.02" '
-        f'damping="0.3" frictionloss="0.02"/><inertial mass="0.1" pos="0 0 -0.05" diaginertia="1e-4 1e-4 1e-4"/>'
-        for k in range(12)
-    )
-    option = '<option timestep="0.00025"/>'
-    system = arm(tmp_path, text=f"<mujoco>{option}<worldbody>{bodies}{'</body>' * 12}</worldbody></mujoco>")
-    assert [i.name for i in system.table if i.symbol == "J_m"] == [f"J_m_j{k}" for k in range(12)]
-    assert apart(system, waves(system, [0.2] * 12, [f"tau{k + 1}" for k in range(12)])) < 5e-3
-
-
 def test_a_urdf_becomes_an_mjcf(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(
         """<robot name="r"><link name="base"/><link name="rod"><inertial><origin xyz="0 0 -0.1"/><mass value="0.4"/>
