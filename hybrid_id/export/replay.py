@@ -384,26 +384,29 @@ class _Command:
 
     def __call__(self, sample: int, data: Any) -> float:
         """The command at a sample."""
-        # the sample whose command has arrived; half a step forgives the rounding to MuJoCo's
-        now = data.time - self._late + 0.5 * self._tick
-        arrived = max(int(np.searchsorted(self._time, now, side="right")) - 1, 0)
-        angle, speed = self._shaft(data, "qpos"), self._shaft(data, "qvel")
-        if self._held is not None:  # whose delay is the actuator's
-            given = float(self._held[arrived if self.delays else sample])
+        row = sample
+        if self.delays or (self._late and self._held is None):  # a delay holds back the goal, not the angle
+            # the sample whose command has arrived; half a step forgives the rounding to MuJoCo's
+            now = data.time - self._late + 0.5 * self._tick
+            row = max(int(np.searchsorted(self._time, now, side="right")) - 1, 0)
+        if self._held is not None:
+            given = float(self._held[row])
         else:  # the loop closes over the rotor's angle or the link's, as its encoder reads it
-            seen, rate = angle, speed
+            angle, speed = self._shaft(data, "qpos"), self._shaft(data, "qvel")
             if self._source.at_joint:
                 gear = data.joint(self._gear) if self._gear else None
                 twist, turning = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
-                seen, rate = angle / self._joint.gear_ratio + twist, speed / self._joint.gear_ratio + turning
-            motion = [torch.tensor([end], dtype=torch.float64) for end in (seen, rate)]
+                angle, speed = (
+                    angle / self._joint.gear_ratio + twist,
+                    speed / self._joint.gear_ratio + turning,
+                )
+            motion = [torch.tensor([end], dtype=torch.float64) for end in (angle, speed)]
             for encoder, view in self._encoders:
                 motion[0] = encoder.read(view, motion[0])
-            row = arrived if self._late else sample  # a delay holds back the goal, not the angle
             command = self._at({c: v[row : row + 1] for c, v in self._channels.items()}, *motion)
             given = float(command[0]) / (self._joint.gear_ratio if self._source.at_joint else 1.0)
         on = 1.0 if self.servo else float(self.on[sample])
-        return on * given + (1.0 - on) * self._induced * speed
+        return given if on == 1.0 else on * given + (1.0 - on) * self._induced * self._shaft(data, "qvel")
 
     def _shaft(self, data: Any, field: str) -> float:
         """Angle or speed of the joint's motor."""

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.errors import InputError
-
 TOLERANCE = 2.0  # points of fit
 
 
@@ -19,14 +17,14 @@ class CrossValidation:
     Attributes:
         fits: (n_sets, n_records, n_signals); -inf where the simulation diverged.
         set_names, record_names, signal_names: What the axes stand for.
-        own_record: (n_sets,) int; the record that a set was estimated from, -1 for none.
+        own_record: (n_sets,) the record that a set was estimated from, -1 for none.
     """
 
     fits: np.ndarray
     set_names: tuple[str, ...]
     record_names: tuple[str, ...]
     signal_names: tuple[str, ...]
-    own_record: np.ndarray
+    own_record: Sequence[int]
 
     def matrix(self, signal: str | None = None) -> np.ndarray:
         """Fits of one signal, or averaged over the signals, (n_sets, n_records)."""
@@ -36,42 +34,6 @@ class CrossValidation:
             total = np.where(known, self.fits, 0.0).sum(axis=2)
             return np.where(known.any(axis=2), total / np.maximum(known.sum(axis=2), 1), np.nan)
         return self.fits[:, :, self.signal_names.index(signal)]
-
-
-def cross_validation(
-    fits: np.ndarray,
-    *,
-    set_names: Sequence[str] = (),
-    record_names: Sequence[str] = (),
-    signal_names: Sequence[str] = (),
-    own_record: Sequence[int] | None = None,
-) -> CrossValidation:
-    """Wraps fits that are there already.
-
-    Args:
-        fits: (n_sets, n_records, n_signals) in %.
-        set_names: Names of the sets; numbers from 1 where absent, as for the next two.
-        record_names: Names of the records.
-        signal_names: Names of the outputs.
-        own_record: Record of each set; by default set i belongs to record i where there are as many.
-
-    Raises:
-        InputError: Names or owners do not fit the array.
-    """
-    fits = np.asarray(fits, float)
-    if fits.ndim != 3:
-        raise InputError(f"cross-validation: fits have {fits.ndim} axes; give (n_sets, n_records, n_signals)")
-    named = []
-    for size, names in zip(fits.shape, (set_names, record_names, signal_names), strict=True):
-        named.append(tuple(names) or tuple(str(k + 1) for k in range(size)))
-        if len(named[-1]) != size:
-            raise InputError(f"cross-validation: {len(named[-1])} names for an axis of {size}; give one each")
-    square = fits.shape[0] == fits.shape[1]
-    default = np.arange(fits.shape[0]) if square else np.full(fits.shape[0], -1)
-    owner = default if own_record is None else np.asarray(own_record, int)
-    if owner.shape != fits.shape[:1] or np.any(owner >= fits.shape[1]):
-        raise InputError("cross-validation: own_record must name one record, or -1, for each set; correct it")
-    return CrossValidation(fits, *named, own_record=owner)
 
 
 @dataclass(frozen=True, eq=False)

@@ -256,27 +256,22 @@ def jackknife_covariance(
         prior_precision: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         blocks: number of blocks over all records; no block spans two records.
     """
-    records = as_records(jacobian, residual)
-    samples = sum(len(r) for _, r in records)
-    n_parameters, variance = records[0][0].shape[-1], noise_variance_of(records)
-    pieces = []
+    records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
+    samples, pieces = sum(len(r) for _, r in records), []
     for j, r in records:
         share = max(1, round(blocks * len(r) / samples))
         pieces += zip(np.array_split(j, share), np.array_split(r, share), strict=True)
     gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
     hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])
-    prior = prior_matrix(prior_precision, n_parameters)
-    information = hessians.sum(0) + prior
-    inverse, determined = scaled_inverse(information)
     # axes in which the information is the identity: directions that the records do not tell are left out
-    scale, values, vectors, kept = scaled_eigen(information)
+    scale, values, vectors, kept = scaled_eigen(hessian + prior)
     axes = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
     rest = np.eye(axes.shape[1]) - np.einsum("ik,bij,jl->bkl", axes, hessians, axes, optimize=True)
     floor = 1e-3 * np.eye(axes.shape[1])  # a block that alone identifies a direction leaves nothing of it
     steps = np.linalg.solve(rest + floor, (gradients @ axes)[..., None])[..., 0]
     drawn = axes.T @ prior @ axes  # the prior's mean counts as one more measurement
     matrix = axes @ ((len(pieces) - 1) / len(pieces) * steps.T @ steps + drawn) @ axes.T
-    longest = max(len(r) for _, r in pieces)
+    longest, variance = max(len(r) for _, r in pieces), noise_variance_of(records)
     return Covariance(matrix, _std_error(matrix, determined), variance, "jackknife", longest, inverse)
 
 

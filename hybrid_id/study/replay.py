@@ -23,7 +23,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch, typical_devia
 from hybrid_id.simulation.rollout import Simulation, cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
+from hybrid_id.statistics.cross_validation import CrossValidation
 from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse, rmse
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -64,8 +64,11 @@ class FreeRuns:
 
     def by_record(self, values: Tensor) -> list[np.ndarray]:
         """Values ``(P, T, n)`` of the pieces of each record, ``(T_r, n)``: an end shorter than a window is left out."""
-        used, names = (self.pieces.weight > 0).any(2).cpu().numpy(), np.array(self.pieces.names)
-        return [values.cpu().numpy()[used & (names == record)[:, None]] for record in self.records]
+        used, samples = (self.pieces.weight > 0).any(2).cpu().numpy(), values.cpu().numpy()
+        rows: dict[str, list[int]] = {record: [] for record in self.records}
+        for row, record in enumerate(self.pieces.names):
+            rows[record].append(row)
+        return [samples[pieces][used[pieces]] for pieces in rows.values()]
 
     def errors(self, measure: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
         """A measure of :mod:`hybrid_id.statistics.fit` by record and output, ``(n_records, n_outputs)``."""
@@ -97,7 +100,8 @@ def weighted_errors(
     weight, errors = runs.pieces.weight, {}
     left = runs.by_record((runs.simulated.y - runs.pieces.y) * weight)
     for record, residual, used in zip(runs.records, left, runs.by_record(weight), strict=True):
-        mean = float(np.square(residual).sum() / np.count_nonzero(used))
+        with np.errstate(over="ignore"):  # on its way to infinity
+            mean = float(np.square(residual).sum() / np.count_nonzero(used))
         errors[record] = mean**0.5 if mean == mean else np.inf
     return errors
 
@@ -121,9 +125,9 @@ def cross_validate(
             runs.by_record(torch.cat([of.y, of.x[..., speeds]], -1)) for of in (runs.pieces, runs.simulated)
         )
         fits.append([fit_percent(y.T, run.T) for y, run in zip(measured, simulated, strict=True)])
-    return cross_validation(
+    return CrossValidation(
         np.array(fits),
-        set_names=["pooled"] if pooled else [result.records[0] for result in sets],
+        set_names=("pooled",) if pooled else tuple(result.records[0] for result in sets),
         record_names=tuple(dict.fromkeys(batch.names)),
         signal_names=(*batch.outputs, *(system.state_names[row] for row in speeds)),
         own_record=[-1] * len(sets) if pooled else list(range(len(sets))),
