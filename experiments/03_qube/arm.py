@@ -17,13 +17,13 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.statistics.cross_validation import cross_validation, select
+from hybrid_id.statistics.cross_validation import CrossValidation, select
 from hybrid_id.statistics.reliability import reliability_grades
 from hybrid_id.statistics.uncertainty import autocorrelation_robust, covariance
-from hybrid_id.statistics.variation import mean_interval, variation
+from hybrid_id.statistics.variation import error_of_mean, variation
 from hybrid_id.study import Study
 from hybrid_id.study.checks import identifiability_of
-from hybrid_id.study.replays import engine_error
+from hybrid_id.study.replay import engine_error
 
 HERE = Path(__file__).parent
 OPTIONS = Options(max_iterations=200)
@@ -130,12 +130,13 @@ def _study(
         way: np.sqrt(np.mean([c.std_error**2 for c in each], 0) / len(sets))
         for way, each in (("plain", plain), ("robust", robust))
     }
-    ways["between records"] = mean_interval(values).std_error
-    matrix = cross_validation(np.zeros((len(sets), batch.rows, 1)))
+    ways["between records"] = error_of_mean(values)
+    axes = batch.names, batch.names, ("q_m1",), range(len(sets))
+    matrix = CrossValidation(np.zeros((len(sets), batch.rows, 1)), *axes)
     study = Study(system, tuple(sets), False, variation(values, names), plain, robust, identifiability_of(sets[0]),
                   (), matrix, None, {}, engine_steps)  # type: ignore[arg-type]  # fmt: skip
     fits = Fits(study, batch).held_out(seconds)[0][..., None]
-    matrix = cross_validation(fits, set_names=batch.names, record_names=batch.names, signal_names=("q_m1",))
+    matrix = CrossValidation(fits, *axes)
     selection = select(matrix)
     chosen = sets[selection.index]
     ratio = np.median(robust[selection.index].std_error / plain[selection.index].std_error)

@@ -93,7 +93,10 @@ def remarks(fits: Fits) -> str:
 
 def say_whole(title: str, study: Study) -> None:
     """Print what the usual study of whole records says."""
-    spread = study.variation.summary() if study.variation else "one record only"
+    spread = "one record only"
+    if (over := study.variation) is not None:
+        rows = zip(over.names, over.mean, over.percent, strict=True)
+        spread = "\n".join(f"{name}: mean {mean:.4g}, std/mean {percent:.2f} %" for name, mean, percent in rows)
     print(f"\nwhole records as one free run, {title}\n{spread}\n{study.selection.summary()}")
 
 

@@ -20,7 +20,7 @@ from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.resample import resample_record
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import some, with_others_measured
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model

@@ -20,7 +20,6 @@ from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.quality import Finding
     from hybrid_id.study import ModelCheck
     from hybrid_id.systems.chain import System
 
@@ -48,10 +47,16 @@ def check(
     if joint is not None:
         data, system = joint_alone(data, path, dataset, joint)
     if not as_json:
-        _show_records(data)
+        from hybrid_id.reporting.tables import count, findings_list, records_table
+
+        show(records_table(data), "")
     findings = check_dataset(data)
     if not as_json:
-        _show_findings(findings, full=full)
+        shown = [one for one in findings if full or one.severity != "info" or one.code == "resampled"]
+        show(findings_list(shown))
+        if hidden := len(findings) - len(shown):
+            more, them = count(hidden, "more remark"), "it" if hidden == 1 else "them"
+            show(f"({more}, for information only: --full shows {them})")
     found = None
     if path is not None and not any(finding.severity == "error" for finding in findings):
         use_threads(threads)
@@ -104,23 +109,6 @@ def joint_alone(dataset: "Dataset", path: Path | None, source: Path, name: str) 
         )
     moving = moving_records(dataset, joint)
     return with_others_measured(moving, robot, joint), alone(robot, joint)
-
-
-def _show_records(data: "Dataset") -> None:
-    from hybrid_id.reporting.tables import records_table
-
-    show(records_table(data), "")
-
-
-def _show_findings(findings: "list[Finding]", *, full: bool) -> None:
-    from hybrid_id.reporting.tables import count, findings_list
-
-    shown = [one for one in findings if full or one.severity != "info" or one.code == "resampled"]
-    show(findings_list(shown))
-    if hidden := len(findings) - len(shown):
-        show(
-            f"({count(hidden, 'more remark')}, for information only: --full shows {'it' if hidden == 1 else 'them'})"
-        )
 
 
 def _show_model(found: "ModelCheck", system: "System", path: Path, *, full: bool) -> None:

@@ -1,10 +1,11 @@
 """`excite`: an excitation that moves a drive, or all joints of a robot, as much as their limits allow."""
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -12,12 +13,12 @@ from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
 from hybrid_id.config.sections import MOST_SEED
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid_id.cli.excite_robot import Designed
+    from hybrid_id.systems.chain import System
 
 MAX_SAMPLES = 1_000_000
 
@@ -98,10 +99,11 @@ def excite(
     as_json: JsonOption = False,
 ) -> None:
     """Design a multisine of least crest factor and write it as CSV, and beside it as JSON how it was made."""
-    from hybrid_id.cli.excite_robot import excite_robot, robot_of
+    from hybrid_id.systems.model_file import load_model
 
-    system = None if model is None or gear is not None else robot_of(model)
-    if system is None:
+    system = None if model is None else load_model(model)
+    robot = system is not None and gear is None and system.tree is not None
+    if not robot:
         if speed or torque or share is not None:
             raise InputError("--speed, --torque and --share belong to a robot's joints; give its --model")
         if (gear is None) != (model is None):
@@ -110,131 +112,8 @@ def excite(
         raise InputError(
             "--amplitude belongs to one drive; a robot's joints have --speed, --torque and --share"
         )
-    band = band or ((0.3, 8.0) if system is None else (0.1, 2.0))
+    band = band or ((0.1, 2.0) if robot else (0.3, 8.0))
     amplitude = 10.0 if amplitude is None else amplitude
-    _refuse(rest, sample_time, duration, band, amplitude)
-    _refuse_file(file)
-    from hybrid_id.records.excitation import STARTS, usual_tones
-    from hybrid_id.reporting.results import as_json as as_json_text
-    from hybrid_id.study.arm_excitation import STARTS_A_JOINT
-
-    starts = starts or (STARTS if system is None else STARTS_A_JOINT)
-    tones = tones or usual_tones(band, duration)
-    asked = {
-        "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
-    }  # fmt: skip
-    with ExitStack() as files:
-        table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(file.with_suffix(".json"), force=force, beside=file))
-        picture = files.enter_context(result_file(plot, force=force)) if plot else None
-        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
-            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
-        if system is None:
-            found = _excite_drive(band, amplitude=amplitude, gear=gear, model=model, rest=rest, **asked)
-        else:
-            found = excite_robot(
-                system, band, speeds=speed or [], torques=torque or [], share=0.9 if share is None else share,
-                rest=rest, **asked,
-            )  # fmt: skip
-        table.write_text(found.table, encoding="utf-8")
-        if picture:
-            from hybrid_id.reporting.style import save
-
-            save(found.figure(), picture)
-        named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
-        text = as_json_text("excite", found.described | asked | named)
-        words.write_text(text + "\n", encoding="utf-8")
-    if as_json:
-        return show(text)
-    *lines, size = found.lines
-    show(*lines, f"{size}, in {file}" + (f"; picture in {plot}" if plot else ""))
-
-
-def _excite_drive(
-    band: tuple[float, float],
-    *,
-    sample_time: float,
-    duration: float,
-    amplitude: float,
-    tones: int,
-    gear: Act | None,
-    model: Path | None,
-    rest: float,
-    starts: int,
-    seed: int,
-) -> "Designed":
-    """Design the multisine of one drive."""
-    import numpy as np
-
-    from hybrid_id.cli.excite_robot import Designed
-    from hybrid_id.records.excitation import design_multisine, usual_crest_factors
-
-    parts, lines = [], list[str]()
-    if gear is not None and model is not None:
-        from hybrid_id.study.excitation import bands_by_gear
-        from hybrid_id.systems.model_file import load_model
-
-        parts = bands_by_gear(
-            load_model(model), band, gear.value, sample_time=sample_time, duration=duration, amplitude=amplitude,
-            tones=tones,
-        )  # fmt: skip
-        band = parts[0].band
-        (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
-        lines = [
-            f"Between {low:.3g} and {high:.3g} Hz the gear's deflection is {100 * parts[0].share:.2g} % of the motor's "
-            f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
-            f"({100 * least:.2g} to {100 * most:.2g} %)."
-        ]
-    design = design_multisine(
-        band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones, starts=starts,
-        seed=seed,
-    )  # fmt: skip
-    quiet = round(rest / sample_time)
-    signal = np.concatenate([np.zeros(quiet), design.signal])
-    rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
-    usual = usual_crest_factors(design, seed)
-    described = {
-        "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
-        "rest": sample_time * quiet, "band": band, "amplitude": amplitude, "gear": gear,
-        "gear_shares": [{"band": one.band, "share": one.share, "motion": one.motion} for one in parts],
-    }  # fmt: skip
-    lines += [
-        f"{design.message}.",
-        f"Schroeder's phases would give {usual['Schroeder']:.3f}, random phases {usual['random']:.3f} "
-        f"(median), so this signal moves the drive {usual['random'] / design.crest_factor:.2f} times as much within "
-        "the same limits.",
-        f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest",
-    ]
-    table = "t,u1\n" + "".join(f"{t:.9g},{u:.9g}\n" for t, u in rows)
-
-    def figure() -> "Figure":
-        from hybrid_id.reporting.study_figures import excitation_figure
-
-        return excitation_figure(design)
-
-    return Designed(table, described, lines, figure)
-
-
-def _refuse_file(file: Path) -> None:
-    """Refuse the name of a file that cannot be.
-
-    Raises:
-        InputError: names the option.
-    """
-    if file.is_dir():
-        raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
-    if file.with_suffix(".json") == file:
-        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
-
-
-def _refuse(
-    rest: float, sample_time: float, duration: float, band: tuple[float, float], amplitude: float
-) -> None:
-    """Refuse numbers that no signal can have.
-
-    Raises:
-        InputError: names the option.
-    """
     if not 0 <= rest < math.inf:
         raise InputError(f"--rest is {rest:g} s; give 0 or more")
     if not 0 < sample_time < math.inf:
@@ -253,3 +132,199 @@ def _refuse(
         )
     if not 0 < amplitude < math.inf:
         raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
+    if file.is_dir():
+        raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
+    if file.with_suffix(".json") == file:
+        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
+    from hybrid_id.records.excitation import STARTS, usual_tones
+    from hybrid_id.reporting.results import as_json as as_json_text
+    from hybrid_id.study.excitation import STARTS_A_JOINT
+
+    starts = starts or (STARTS_A_JOINT if robot else STARTS)
+    tones = tones or usual_tones(band, duration)
+    asked = {
+        "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
+    }  # fmt: skip
+    with ExitStack() as files:
+        table = files.enter_context(result_file(file, force=force))
+        words = files.enter_context(result_file(file.with_suffix(".json"), force=force, beside=file))
+        picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
+            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
+        if system is not None and robot:
+            limits = (speed or [], torque or [], 0.9 if share is None else share)
+            found = _of_robot(system, band, *limits, rest=rest, **asked)
+        else:
+            found = _of_drive(system, band, amplitude=amplitude, gear=gear, rest=rest, **asked)
+        columns, rows = found.table
+        lines = (",".join(f"{value:.9g}" for value in row) for row in rows)
+        table.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+        if picture:
+            from hybrid_id.reporting.style import save
+
+            save(found.figure(), picture)
+        named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
+        text = as_json_text("excite", found.described | asked | named)
+        words.write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        return show(text)
+    *lines, size = found.lines
+    show(*lines, f"{size}, in {file}" + (f"; picture in {plot}" if plot else ""))
+
+
+class Designed(NamedTuple):
+    """What is written of a design, a robot's or one drive's.
+
+    Attributes:
+        table: names of the columns, and the rows of the CSV.
+        described: for the JSON, beside what the command was asked for.
+        lines: for the screen; the last one goes on with the file's name.
+        figure: draws the picture.
+    """
+
+    table: tuple[Sequence[str], Iterable[Iterable[float]]]
+    described: dict[str, Any]
+    lines: list[str]
+    figure: "Callable[[], Figure]"
+
+
+def _of_drive(
+    system: "System | None",
+    band: tuple[float, float],
+    *,
+    sample_time: float,
+    duration: float,
+    amplitude: float,
+    tones: int,
+    gear: Act | None,
+    rest: float,
+    starts: int,
+    seed: int,
+) -> Designed:
+    """Design the multisine of one drive."""
+    import numpy as np
+
+    from hybrid_id.records.excitation import design_multisine, usual_crest_factors
+    from hybrid_id.reporting.study_figures import excitation_figure
+
+    parts, lines = [], list[str]()
+    if gear is not None and system is not None:
+        from hybrid_id.study.excitation import bands_by_gear
+
+        parts = bands_by_gear(
+            system,
+            band,
+            gear.value,
+            sample_time=sample_time,
+            duration=duration,
+            amplitude=amplitude,
+            tones=tones,
+        )
+        band = parts[0].band
+        (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
+        lines = [
+            f"Between {low:.3g} and {high:.3g} Hz the gear's deflection is {100 * parts[0].share:.2g} % of the motor's "
+            f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
+            f"({100 * least:.2g} to {100 * most:.2g} %)."
+        ]
+    design = design_multisine(
+        band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones, starts=starts,
+        seed=seed,
+    )  # fmt: skip
+    quiet = round(rest / sample_time)
+    signal = np.concatenate([np.zeros(quiet), design.signal])
+    usual = usual_crest_factors(design, seed)
+    described = {
+        "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
+        "rest": sample_time * quiet, "band": band, "amplitude": amplitude, "gear": gear,
+        "gear_shares": [{"band": one.band, "share": one.share, "motion": one.motion} for one in parts],
+    }  # fmt: skip
+    lines += [
+        f"{design.message}.",
+        f"Schroeder's phases would give {usual['Schroeder']:.3f}, random phases {usual['random']:.3f} "
+        f"(median), so this signal moves the drive {usual['random'] / design.crest_factor:.2f} times as much within "
+        "the same limits.",
+        f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest",
+    ]
+    rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
+    return Designed((("t", "u1"), rows), described, lines, lambda: excitation_figure(design))
+
+
+def _of_robot(
+    system: "System",
+    band: tuple[float, float],
+    speeds: Sequence[str],
+    torques: Sequence[str],
+    share: float,
+    **asked: Any,
+) -> Designed:
+    """Design the motion of a robot's joints."""
+    from hybrid_id.reporting.study_figures import arm_excitation_figure
+    from hybrid_id.study.excitation import design_arm_motion, joint_limits
+
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"--share is {share:g}; give a number above 0, 1 at most")
+    names = system.tree.names if system.tree is not None else ()
+    limits = joint_limits(system, _by_joint(speeds, names, "--speed"), _by_joint(torques, names, "--torque"))
+    design = design_arm_motion(system, tuple(one.within(share) for one in limits), band, **asked)
+    peaks = abs(design.speed).max(0), abs(design.torque).max(0)
+    joints = [
+        {
+            "joint": one.name, "column": f"goal{k + 1}", "position_limits": one.position,
+            "speed_limit": one.speed, "torque_limit": one.torque,
+            "position": (design.position[:, k].min(), design.position[:, k].max()),
+            "peak_speed": peaks[0][k], "peak_torque": peaks[1][k],
+            "crest_factor": design.designs[k].crest_factor,
+        }
+        for k, one in enumerate(design.limits)
+    ]  # fmt: skip
+    described = {
+        "samples": len(design.time), "rest": asked["rest"], "band": band, "share": share, "joints": joints,
+        "scale": design.scale, "condition_number": design.condition_number, "std_ratio": design.std_ratio,
+    }  # fmt: skip
+    tones = design.designs[0].frequencies
+    lines = [
+        f"{len(tones)} tones from {tones[0]:.4g} to {tones[-1]:.4g} Hz at each joint, positions at the joint:"
+    ]
+    width = max(len(one["joint"]) for one in joints)
+    for one in joints:
+        (low, high), (least, most) = one["position"], one["position_limits"]
+        lines.append(
+            f"  {one['column']} {one['joint']:{width}}  {low:8.3f} to {high:.3f} of {least:.3f} to {most:.3f}; "
+            f"speed {one['peak_speed']:.3g} of {one['speed_limit']:.3g}, torque {one['peak_torque']:.3g} of "
+            f"{one['torque_limit']:.3g}"
+        )
+    if design.scale < 1.0:
+        lines.append(
+            f"The torques leave {100 * design.scale:.0f} % of the amplitude that position and speed allow."
+        )
+    lines += [
+        f"Base parameters and friction: condition number {design.condition_number:.3g}; shifts and signs bring the "
+        f"predicted standard errors to {100 * design.std_ratio:.0f} % of those at random.",
+        "Collisions are not checked. Bring the robot to the first position before it starts.",
+        f"{len(design.time)} samples, {design.time[-1]:.6g} s",
+    ]
+    columns = ["t", *(one["column"] for one in joints)]
+    rows = ((t, *row) for t, row in zip(design.time, design.position, strict=True))
+    return Designed((columns, rows), described, lines, lambda: arm_excitation_figure(design))
+
+
+def _by_joint(given: Sequence[str], names: Sequence[str], option: str) -> dict[str, float]:
+    """Limits by joint, from ``NAME=VALUE`` and from a ``VALUE`` for all others."""
+    found: dict[str, float] = {}
+    for words in given:
+        name, _, value = words.rpartition("=")
+        if name and name not in names:
+            raise InputError(
+                f"{option} {words}: the robot has no joint '{name}'{close_match(name, names)}; it has "
+                f"{', '.join(names)}."
+            )
+        if name in found:
+            raise InputError(f"{option} is given twice for {name or 'all joints'}; keep one of them")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = 0.0
+        if not 0.0 < found[name] < float("inf"):
+            raise InputError(f"{option} {words}: '{value}' is no number above 0")
+    return dict.fromkeys(names, found[""]) | found if "" in found else found

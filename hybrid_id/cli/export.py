@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from hybrid_id.export.target import TargetErrors
-    from hybrid_id.records.dataset import Dataset
     from hybrid_id.reporting.page import Page
     from hybrid_id.study import Horizon
     from hybrid_id.systems.chain import System
@@ -121,10 +120,27 @@ def export(
     those of --check, beside the nominal and the re-fitted model; what it loses there is fitted anew in MuJoCo, and a
     corrected model that stays worse than the re-fitted one is refused.
     """
-    _refuse_foreign_options(to, check, sample_time, width, worse=worse)
+    if check is not None and to is not Format.mjcf:
+        raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    if worse and to is not Format.mjcf:
+        raise InputError(
+            "--worse writes a model that is worse in MuJoCo; leave it out, --force replaces files that exist"
+        )
+    if to is not Format.torch and (sample_time, width) != (None, None):
+        raise InputError(
+            "--sample-time and --width are of the torch program; leave them out, or take --to torch"
+        )
     refuse_file(out, force=force)
     remove_empty(make_parents(out))  # a place that cannot be written is said before anything is fitted
-    files = _files(out, to)
+    if to is Format.mjcf and out.suffix.lower() == ".urdf":
+        raise InputError(
+            f"{out}: MJCF is written, which no reader of URDF takes; give a file that ends in .xml"
+        )
+    # the file, then its description and its page; ranges are JSON themselves
+    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
+    files = [out, *(out.with_suffix(ending) for ending in endings)]
+    if out in files[1:]:
+        raise InputError(f"{out} would also be the name of the {kind_of(out)} beside it; take another ending")
     for one in files[1:]:
         refuse_file(one, force=force, beside=out)
     use_threads(1)
@@ -153,35 +169,6 @@ def export(
         show(
             f"the model is in {out}, {f'what it leaves out in {files[1]}' if left_out else 'nothing is left out'}"
         )
-
-
-def _refuse_foreign_options(
-    to: Format, check: Path | None, sample_time: float | None, width: float | None, *, worse: bool
-) -> None:
-    """Refuse an option of another format than the one asked for."""
-    if check is not None and to is not Format.mjcf:
-        raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
-    if worse and to is not Format.mjcf:
-        raise InputError(
-            "--worse writes a model that is worse in MuJoCo; leave it out, --force replaces files that exist"
-        )
-    if to is not Format.torch and (sample_time, width) != (None, None):
-        raise InputError(
-            "--sample-time and --width are of the torch program; leave them out, or take --to torch"
-        )
-
-
-def _files(out: Path, to: Format) -> list[Path]:
-    """The file to write, then its description and its page; ranges are JSON themselves."""
-    if to is Format.mjcf and out.suffix.lower() == ".urdf":
-        raise InputError(
-            f"{out}: MJCF is written, which no reader of URDF takes; give a file that ends in .xml"
-        )
-    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
-    beside = [out.with_suffix(ending) for ending in endings]
-    if out in beside:
-        raise InputError(f"{out} would also be the name of the {kind_of(out)} beside it; take another ending")
-    return [out, *beside]
 
 
 def _write(files: Sequence[Path], made: Made, text: str, *, force: bool) -> None:
@@ -243,7 +230,13 @@ def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetError
     from hybrid_id.export.target import NOMINAL, REFITTED, target_errors
 
     run = _run_of(file)
-    own = None if run is None else _own_records(run[0])
+    own = None
+    if run is not None and run[0].dataset.exists():
+        own = load_records(run[0].dataset, run[0])
+    elif run is not None:
+        remark(
+            f"{run[0].dataset}, the records of this run, is not there: nothing is fitted anew in MuJoCo's terms"
+        )
     if check is not None:
         judges = records_to_replay(check)
     elif own is None:
@@ -331,16 +324,6 @@ def _refitted_beside(file: Path) -> Path:
     return next(
         (one for name in (REFIT, PHYSICS) if (one := file.with_name(name)).exists()), file.with_name(REFIT)
     )
-
-
-def _own_records(config: StudyConfig) -> "Dataset | None":
-    """Records of a run; None where they are gone."""
-    if config.dataset.exists():
-        return load_records(config.dataset, config)
-    remark(
-        f"{config.dataset}, the records of this run, is not there: nothing is fitted anew in MuJoCo's terms"
-    )
-    return None
 
 
 def _label(file: Path, system: "System") -> str:

@@ -92,8 +92,12 @@ def _replay(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
         )
     use_threads(threads)
+    from hybrid_id.records.quality import remarks
+    from hybrid_id.reporting.page import how_made
+    from hybrid_id.reporting.replays import replay_figures, replay_page
     from hybrid_id.reporting.results import as_json as to_json
-    from hybrid_id.reporting.results import comparison_result, horizon_result
+    from hybrid_id.reporting.results import comparison_result, horizon_result, write_comparison, write_replay
+    from hybrid_id.reporting.style import save
 
     check_window(window, dataset.records)
     labels = _labels(models)
@@ -109,7 +113,16 @@ def _replay(
         },
     )
     with results_folder(out, force=force) as folder:
-        _write(folder, command, dataset, comparison, {"dataset": path, "models": ", ".join(files.values())})
+        write_comparison(folder / "comparison.csv", comparison)
+        if command == "simulate":
+            for replay in next(iter(comparison.replays.values())):
+                write_replay(folder / f"{replay.record.name}.csv", replay)
+        figures = replay_figures(dataset, comparison)
+        for name, figure in figures.items():
+            save(figure, folder / f"{name}.png")
+        page = replay_page(dataset, comparison, figures, findings=remarks(dataset))
+        settings = {"dataset": path, "models": ", ".join(files.values())}
+        how_made(page, command, settings=settings).write(folder / "report.html")
         write_last(folder / RESULT, result)
     if as_json:
         return show(result)
@@ -154,23 +167,3 @@ def _labels(models: list[Path]) -> dict[Path, str]:
         if len(set(labels.values())) == len(models):
             return labels
     return {model: str(model) for model in models}
-
-
-def _write(
-    folder: Path, command: str, dataset: "Dataset", comparison: "Comparison", settings: dict[str, object]
-) -> None:
-    from hybrid_id.records.quality import remarks
-    from hybrid_id.reporting.page import how_made
-    from hybrid_id.reporting.replays import replay_figures, replay_page
-    from hybrid_id.reporting.results import write_comparison, write_replay
-    from hybrid_id.reporting.style import save
-
-    write_comparison(folder / "comparison.csv", comparison)
-    if command == "simulate":
-        for replay in next(iter(comparison.replays.values())):
-            write_replay(folder / f"{replay.record.name}.csv", replay)
-    figures = replay_figures(dataset, comparison)
-    for name, figure in figures.items():
-        save(figure, folder / f"{name}.png")
-    page = replay_page(dataset, comparison, figures, findings=remarks(dataset))
-    how_made(page, command, settings=settings).write(folder / "report.html")

@@ -43,7 +43,7 @@ from hybrid_id.records.skew import Skew, find_skews
 from hybrid_id.records.units import number_of
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import (
     asked_parts,
     joint_parts,

@@ -64,7 +64,7 @@ from hybrid_id.records.quality import beyond, confounded_signals
 from hybrid_id.records.skew import Skew, find_skews
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.checks import check_identifiability
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
 
 LENGTHS = (WINDOW, 2.0 * WINDOW, 4.0 * WINDOW)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hybrid_id.diagnosis.fits import runs
 from hybrid_id.diagnosis.validation import BLOCK, autocorrelation
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
@@ -15,7 +14,7 @@ from hybrid_id.records.measures import less_half_a_count
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of, run_freely
 from hybrid_id.systems.chain import System
 
 LOST = 1e6
@@ -86,7 +85,8 @@ def errors(
     if not records:
         return None
     whole = batch_of(dataset, system, records, signal_share, "cpu")
-    batch, simulated = runs(system, engine, whole, horizon)
+    runs = run_freely(system, engine, whole, horizon)
+    batch, simulated = runs.pieces, runs.simulated.y.numpy()
     length = max(1, round(BLOCK / batch.sample_time))
     declared = {channel.name: channel.noise_std or 0.0 for channel in dataset.outputs}
     blocks, by_record, by_output, plain, noise, weighted = [], {}, {}, {}, [], []

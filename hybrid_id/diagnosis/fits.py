@@ -30,7 +30,7 @@ from hybrid_id.identification.finite_differences import (
     slopes_at,
 )
 from hybrid_id.identification.fit import fit, kept_fit, make_bounds
-from hybrid_id.identification.horizons import WHOLE, Horizon, astray, free_runs, settled, windows
+from hybrid_id.identification.horizons import WHOLE, Horizon, astray, settled, windows
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
@@ -46,7 +46,7 @@ from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
 from hybrid_id.study.many import leave_ctrl_c_to_the_first
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of, run_freely
 from hybrid_id.systems.chain import System
 
 BEGINNING = 12
@@ -402,7 +402,8 @@ def _unseen(fits: Fits, result: FitResult) -> tuple[list[np.ndarray], float, Seq
         pieces = fits.horizon.cut(system, fits.engine, train)
         return bounded(predicted(result, pieces), reach), pieces.sample_time, pieces.names
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
-    seen, run = runs(system, result.engine, whole, fits.horizon)
+    runs = run_freely(system, result.engine, whole, fits.horizon)
+    seen, run = runs.pieces, runs.simulated.y.numpy()
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
     kept = [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
     return bounded(kept, reach), seen.sample_time, seen.names
@@ -563,15 +564,6 @@ def _within(how: Engine, start: System, batch: Batch, iterations: int) -> FitRes
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")
     return result
-
-
-def runs(system: System, how: Engine, batch: Batch, horizon: Horizon) -> tuple[Batch, np.ndarray]:
-    """Free runs of a model over a horizon of whole records: what is run, and its outputs ``(R, T, n_y)``."""
-    pieces = horizon.cut(system, how, batch)
-    fine = with_substeps(system, how, pieces)
-    # a whole record starts at rest, where it was measured
-    run = simulate(system, fine, pieces) if pieces is batch else free_runs(system, fine, pieces)
-    return pieces, run.y.numpy()
 
 
 def engine() -> Engine:

@@ -12,7 +12,7 @@ from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.response import bumps, respond
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 
 ANGLES, SPEEDS = 7, 6
 """Bumps of the map along each axis; six along the speed leave its middle to a step, as dry friction makes it."""

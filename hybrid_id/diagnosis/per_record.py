@@ -16,7 +16,7 @@ from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.statistics.cross_validation import select
-from hybrid_id.study.replays import cross_validate
+from hybrid_id.study.replay import cross_validate
 from hybrid_id.systems.chain import System
 
 NAMED = 3

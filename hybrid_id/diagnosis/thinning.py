@@ -16,7 +16,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
 
 LONGEST = 5e-3

@@ -28,7 +28,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import sensor_noise
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import joint_parts, some, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
 

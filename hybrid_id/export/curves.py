@@ -82,7 +82,15 @@ def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> Fric
     """The friction of a place over speeds up to ``top_speed`` [rad/s], both directions averaged."""
     where, laws = f"{joint.name}/{place}", joint.frictions[place]
     v = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 80)])
-    levels, smooth = _sampled(laws, p, top_speed * v)
+    speeds = torch.tensor(top_speed * v)
+
+    def total(terms: list) -> np.ndarray:
+        return sum((t for t in terms if t is not None), torch.zeros_like(speeds)).detach().numpy()
+
+    # dry levels and smooth torques [N m], forwards and backwards
+    forwards = [torch.full_like(speeds, side) for side in (1.0, 0.0)]
+    levels = [total([law.dry(p[key], speeds, side) for key, law in laws]) for side in forwards]
+    smooth = [side * total([law.smooth(p[key], side * speeds) for key, law in laws]) for side in (1.0, -1.0)]
     both = [dry + rest for dry, rest in zip(levels, smooth, strict=True)]
     weights = _weights(v, both)
     features = np.stack([(v > 0).astype(float), v, v**2, v**3], 1)
@@ -113,30 +121,7 @@ def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> Fric
         notes.append(
             f"{where}: what grows with speed in one direction alone does so up to {top_speed:.3g} rad/s only"
         )
-    bristle, more = _bristle(laws, p)
-    a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
-    coulomb = level + float(found[0])
-    edges = coulomb, coulomb + fall, stribeck * top_speed
-    return FrictionCurve((a, b, c), *edges, bristle, bias, tuple(ramps), (*notes, *more))
-
-
-def _sampled(laws: Laws, p: Views, at: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Dry levels and smooth torques [N m] at speeds [rad/s], forwards and backwards, ``(n,)`` each."""
-    speeds = torch.tensor(at)
-    zero = torch.zeros_like(speeds)
-
-    def total(terms: list) -> np.ndarray:
-        return sum((t for t in terms if t is not None), zero).detach().numpy()
-
-    forwards = [torch.full_like(speeds, side) for side in (1.0, 0.0)]
-    levels = [total([law.dry(p[key], speeds, side) for key, law in laws]) for side in forwards]
-    smooth = [side * total([law.smooth(p[key], side * speeds) for key, law in laws]) for side in (1.0, -1.0)]
-    return levels, smooth
-
-
-def _bristle(laws: Laws, p: Views) -> tuple[tuple[float, float] | None, list[str]]:
-    """Stiffness and damping of the laws' bristle, and sentences on what the laws have beside their curves."""
-    bristle, notes = None, []
+    bristle = None
     for key, law in laws:
         terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], torch.zeros(1))
         if any(term is not None for term in terms):
@@ -146,7 +131,10 @@ def _bristle(laws: Laws, p: Views) -> tuple[tuple[float, float] | None, list[str
             bristle = float(own["bristle"][0]), float(own["bristle"][1])
         if missing:
             notes.append(noted(key, missing))
-    return bristle, notes
+    a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
+    coulomb = level + float(found[0])
+    edges = coulomb, coulomb + fall, stribeck * top_speed
+    return FrictionCurve((a, b, c), *edges, bristle, bias, tuple(ramps), tuple(notes))
 
 
 def _weights(v: np.ndarray, both: list[np.ndarray]) -> list[np.ndarray]:

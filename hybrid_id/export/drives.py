@@ -102,7 +102,12 @@ class Drives:
         own = self._friction(link, side, 1.0, self._stopped(joint, "link_friction"))
         if own:
             self.passive.append(_passive(f"link_friction{label}", at_link, 1.0, own))
-        link.update(self._spring(joint, "springref" if "joint" in at_link else "springlength"))
+        loads = [(key, part, *part.mjcf(self.p[key])) for key, part in joint.loads]
+        if springs := [carry for *_, carry, _ in loads if "rest" in carry]:
+            rest, angle = "springref" if "joint" in at_link else "springlength", float(springs[0]["rest"][0])
+            if rest == "springlength" and angle == -1.0:
+                angle -= 1e-9  # MuJoCo takes -1 for "where the model stands at first"
+            link |= {"stiffness": numbers(springs[0]["stiffness"]), rest: number(angle)}
         if extras and not isinstance(part, DCMotor):
             self.passive.append(_passive(f"rotor_friction{label}", at_rotor, r, extras))
         head = {"name": f"motor{label}"} | at_rotor | {"gear": "1" if servo else number(r)}
@@ -112,7 +117,15 @@ class Drives:
         self.notes += notes
         self._uneven(f"friction{label}", rotor, r, at_rotor)
         self._uneven(f"link_friction{label}", side, 1.0, at_link)
-        self._loads(joint, at_link)
+        for key, part, carry, missing in loads:
+            if "bias" in carry:
+                self._bias(f"{part.kind}{label}", float(carry["bias"][0]), at_link)
+            if isinstance(part, Gravity) and self.system.tree is not None:
+                missing = "is left out, the description's bodies have their own weight"
+            elif isinstance(part, Gravity) and len(self.system.joints) > 1:
+                missing = "is left out, no body of an arm weighs like that: take arm_gravity"
+            self.notes += [noted(key, missing)] if missing else []
+        self.notes += carried(joint.logged, self.p)[1]
         self.notes += carried([(stage, part) for stage, part, _ in joint.drive.stages], self.p)[1]
         return tag, head | attributes
 
@@ -149,28 +162,6 @@ class Drives:
             return {}
         bristle = friction.bristle or (inertia * min(BRISTLE, STIFFEST / self.step) ** 2, 0.0)
         return {"lugre": numbers([*bristle, friction.coulomb, friction.static, friction.stribeck])}
-
-    def _spring(self, joint: Joint, rest: str) -> Attributes:
-        """A spring load as attributes of a hinge or a tendon."""
-        found = [own for key, part in joint.loads if "rest" in (own := part.mjcf(self.p[key])[0])]
-        if not found:
-            return {}
-        angle = float(found[0]["rest"][0])
-        if rest == "springlength" and angle == -1.0:
-            angle -= 1e-9  # MuJoCo takes -1 for "where the model stands at first"
-        return {"stiffness": numbers(found[0]["stiffness"]), rest: number(angle)}
-
-    def _loads(self, joint: Joint, at_link: Attributes) -> None:
-        for key, part in joint.loads:
-            own, missing = part.mjcf(self.p[key])
-            if "bias" in own:
-                self._bias(f"{part.kind}{self.label(joint)}", float(own["bias"][0]), at_link)
-            if isinstance(part, Gravity) and self.system.tree is not None:
-                missing = "is left out, the description's bodies have their own weight"
-            elif isinstance(part, Gravity) and len(self.system.joints) > 1:
-                missing = "is left out, no body of an arm weighs like that: take arm_gravity"
-            self.notes += [noted(key, missing)] if missing else []
-        self.notes += carried(joint.logged, self.p)[1]
 
     def _uneven(self, name: str, friction: FrictionCurve, gear: float, on: Attributes) -> None:
         """What one direction of motion has beyond the other: a bias, and dampers that act one way up to a force."""

@@ -102,9 +102,24 @@ class _Document(Drives):
                 fixed.set("armature", number(link.extra))
             for hinged in (f"joint{n}", f"gear{n}"):
                 ET.SubElement(fixed, "joint", joint=hinged, coef="1")
-        _fill(body, link)
+        if link.weightless:
+            body.set("gravcomp", "1")
+        centre, moments = f"{number(link.arm)} 0 0", numbers([link.inertia] * 3)
+        ET.SubElement(body, "inertial", pos=centre, mass=number(link.mass), diaginertia=moments)
+        # its shape is for the eye and touches nothing
+        seen = 0.3 if abs(link.arm) < 0.01 else 2.0 * max(min(link.arm, 1.0), -1.0)
+        shape = {"type": "capsule", "fromto": f"0 0 0 {number(seen)} 0 0", "size": "0.02"}
+        ET.SubElement(body, "geom", shape | {"contype": "0", "conaffinity": "0"})
         ET.SubElement(self.actuators, tag, attributes)
-        self._sense(joint, at_link)
+        at_motor = {"actuator": f"motor{n}"}
+        if self.closes(joint):  # its actuator is as long as the joint's angle, which its goal is
+            at_motor = {"tendon": f"motor_angle{n}"}
+            fixed = ET.SubElement(self.tendons, "fixed", name=at_motor["tendon"])
+            ET.SubElement(fixed, "joint", joint=f"joint{n}", coef=number(joint.gear_ratio))
+        for side, on in (("m", at_motor), ("a", at_link)):
+            for letter, what in (("q", "pos"), ("v", "vel")):
+                ET.SubElement(self.sensors, f"{next(iter(on))}{what}", {"name": f"{letter}_{side}{n}"} | on)
+        self.sensed(joint)
         return body
 
     def _gear(self, body: ET.Element, joint: Joint) -> None:
@@ -125,27 +140,3 @@ class _Document(Drives):
             fixed = ET.SubElement(self.tendons, "fixed", {"name": f"gear{n}_{k + 1}"} | band)
             ET.SubElement(fixed, "joint", joint=f"gear{n}", coef="1")
         self.notes += found.notes
-
-    def _sense(self, joint: Joint, at_link: Attributes) -> None:
-        n, at_motor = joint.number, {"actuator": f"motor{joint.number}"}
-        if self.closes(joint):  # its actuator is as long as the joint's angle, which its goal is
-            at_motor = {"tendon": f"motor_angle{n}"}
-            fixed = ET.SubElement(self.tendons, "fixed", name=at_motor["tendon"])
-            ET.SubElement(fixed, "joint", joint=f"joint{n}", coef=number(joint.gear_ratio))
-        for side, on in (("m", at_motor), ("a", at_link)):
-            for letter, what in (("q", "pos"), ("v", "vel")):
-                ET.SubElement(self.sensors, f"{next(iter(on))}{what}", {"name": f"{letter}_{side}{n}"} | on)
-        self.sensed(joint)
-
-
-def _fill(body: ET.Element, link: Link) -> None:
-    """Mass and shape of a link's body; the shape is for the eye and touches nothing."""
-    if link.weightless:
-        body.set("gravcomp", "1")
-    centre = f"{number(link.arm)} 0 0"
-    ET.SubElement(
-        body, "inertial", pos=centre, mass=number(link.mass), diaginertia=numbers([link.inertia] * 3)
-    )
-    seen = 0.3 if abs(link.arm) < 0.01 else 2.0 * max(min(link.arm, 1.0), -1.0)
-    shape = {"type": "capsule", "fromto": f"0 0 0 {number(seen)} 0 0", "size": "0.02"}
-    ET.SubElement(body, "geom", shape | {"contype": "0", "conaffinity": "0"})

@@ -7,12 +7,12 @@ classes, meshes and includes survive. A URDF, which has no place for a rotor, is
 
 from __future__ import annotations
 
+import importlib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
@@ -61,7 +61,14 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
     path = Path(tree.source)
     spec, text = read_spec(path), path.read_bytes().decode("utf-8")
     if converted := _Text(text).root == "robot":
-        _untouched_base(spec)
+        fixed = set[str]()
+        for body in (
+            spec.bodies
+        ):  # the base, which as a part of the world would touch the first link, touches nothing
+            if body.name == "world" or (body.parent.name in fixed and not body.joints):
+                fixed.add(body.name)
+                for geom in body.geoms:
+                    geom.contype = geom.conaffinity = 0
         try:
             text = spec.to_xml()
         except ValueError as error:  # of a link without an inertia, say
@@ -78,48 +85,35 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
     return exported
 
 
-def _untouched_base(spec: Any) -> None:
-    """Let the base of a URDF touch nothing: as a part of the world it would touch the first link, beside its joint."""
-    fixed = set[str]()
-    for body in spec.bodies:  # from the base outwards
-        if body.name == "world" or (body.parent.name in fixed and not body.joints):
-            fixed.add(body.name)
-            for geom in body.geoms:
-                geom.contype = geom.conaffinity = 0
-
-
 def mujoco_model(exported: Mjcf) -> Any:
     """MuJoCo's model of an exported system, its files found where the description's are, what it holds still held.
 
     Raises:
         ValueError: MuJoCo does not take it.
     """
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     files = {} if exported.home is None else _included(exported.text, exported.home)
-    spec = mujoco.MjSpec.from_string(exported.text, include=files)  # type: ignore[attr-defined]
+    spec = mujoco.MjSpec.from_string(exported.text, include=files)
     if exported.home is not None:
         spec.modelfiledir = str(exported.home)
         without_missing_meshes(exported.home / "exported", mujoco, spec)
-    return _held_still(mujoco, spec, exported.held) if exported.held else spec.compile()
-
-
-def _held_still(mujoco: Any, spec: Any, held: Mapping[str, float]) -> Any:
-    """The model in which joints are held: a base without its free joint, others by an equality, stiff as may be."""
-    model, stiff = spec.compile(), 2.0 * spec.option.timestep
-    names = {model.joint(k).name for k in range(model.njnt)}
+    model = spec.compile()
+    if not exported.held:
+        return model
+    # a base is held by taking out its free joint, others by an equality, stiff as may be
+    names, stiff = {model.joint(k).name for k in range(model.njnt)}, 2.0 * spec.option.timestep
     bases = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    for joint in (one for one in bases if {one.name, one.parent.name} & held.keys()):
+    for joint in (base for base in bases if {base.name, base.parent.name} & exported.held.keys()):
         spec.delete(joint)
         for key in list(spec.keys):  # whose positions are those with the base's
             spec.delete(key)
-    for name, at in held.items():
+    for name, at in exported.held.items():
         if name in names and model.joint(name).qpos0.size == 1:
-            one = spec.add_equality(
+            held = spec.add_equality(
                 type=mujoco.mjtEq.mjEQ_JOINT, name1=name, objtype=mujoco.mjtObj.mjOBJ_JOINT
             )
-            one.data[0] = at - float(model.joint(name).qpos0[0])
-            one.solref[:], one.solimp[:3] = (stiff, 1.0), (0.99, 0.999, 0.001)
+            held.data[0] = at - float(model.joint(name).qpos0[0])
+            held.solref[:], held.solimp[:3] = (stiff, 1.0), (0.99, 0.999, 0.001)
     return spec.compile()
 
 
@@ -162,9 +156,14 @@ class _Text:
         self.changes: list[tuple[int, int, str]] = []
         opened: list[tuple[str, Attributes, int, int]] = []
         parser = expat.ParserCreate("utf-8")
+        start_tag = re.compile(
+            rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>"""
+        )  # a value may hold the sign that ends tags
 
         def start(tag: str, values: Attributes) -> None:
-            opened.append((tag, values, parser.CurrentByteIndex, self._head(parser.CurrentByteIndex)))
+            head = start_tag.match(self.raw, parser.CurrentByteIndex)
+            assert head is not None
+            opened.append((tag, values, *head.span()))
 
         def end(tag: str) -> None:
             _, values, first, head = opened.pop()
@@ -180,12 +179,6 @@ class _Text:
     def root(self) -> str:
         """Name of the outermost element."""
         return self.elements[-1].tag
-
-    def _head(self, start: int) -> int:
-        """Where a start tag ends: a value may hold the sign that ends tags."""
-        found = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(self.raw, start)
-        assert found is not None
-        return found.end()
 
     def put(self, element: _Element, values: Attributes) -> None:
         """Set attributes of an element."""
@@ -290,16 +283,49 @@ class _Edit(Drives):
     def _masses(self) -> None:
         """Write inertias that differ from the file's into their bodies, and payloads as bodies of their own."""
         bodies = self.system.arm.bodies(self.p)
+        sites = {self.model.site(i).name: i for i in range(self.model.nsite)}
+        # what of the file takes masses from elsewhere than its bodies' own elements
+        overruled = next(
+            (
+                f'the file\'s compiler has {name}="{e.values[name]}"'
+                for e in self.elements
+                for name in ("inertiafromgeom", "settotalmass")
+                if e.tag == "compiler" and e.values.get(name, "auto") not in ("auto", "false")
+            ),
+            "",
+        )
         for key, part in self.system.arm.masses:
-            element, reason = self._body(part.point), self._overruled()
+            element = self._body(part.point)
             if element is None:
-                reason = f"'{part.point}' stands in a file that this one includes"
-            if element is None or reason:
-                self.notes.append(left_out(key, reason))
+                why = f"'{part.point}' stands in a file that this one includes"
+                self.notes.append(left_out(key, why))
+            elif overruled:
+                self.notes.append(left_out(key, overruled))
             elif isinstance(part, Payload):
-                self._add_payload(element, part, self.p[key])
+                mass, centre = part.mass(self.p[key])
+                place = np.array([float(value) for value in centre])
+                if (i := sites.get(part.point)) is not None:
+                    turn = Rotation.from_quat(self.model.site_quat[i], scalar_first=True)
+                    place = self.model.site_pos[i] + turn.apply(place)
+                if float(mass):
+                    named = {"name": f"payload_{part.point}", "pos": numbers(place.tolist())}
+                    weight = {"pos": "0 0 0", "mass": number(float(mass)), "diaginertia": "0 0 0"}
+                    body = f"{_written('body', named)[:-2]}>{_written('inertial', weight)}</body>"
+                    self.text.append(element, [body])
             else:
-                self._set_inertial(element, bodies[key].held())
+                changed = bodies[key].held()
+                known = next(body for body in self.tree.bodies if body.name == changed.name)
+                ten = _ten(changed)
+                if np.allclose(_ten(known), ten, rtol=SAME, atol=1e-12):
+                    continue
+                values = {"mass": number(ten[0]), "pos": numbers(ten[1:4]), "fullinertia": numbers(ten[4:])}
+                inside = (*element.above, "body")
+                own = [e for e in self.text.elements if e.tag == "inertial" and e.above == inside]
+                own = [e for e in own if element.start < e.start < element.end]
+                if own:
+                    self.text.replace(own[0], _written("inertial", values))
+                else:
+                    self.text.insert(element, _written("inertial", values))
 
     def _compensation(self) -> None:
         """Write the share of each body's weight that the controller holds as its ``gravcomp``."""
@@ -323,61 +349,23 @@ class _Edit(Drives):
             words = f"holds the weight in MuJoCo with {' and '.join(wrong)}, which the robot's controller does not know"
             self.notes.append(noted(key, words))
 
-    def _overruled(self) -> str:
-        """What of the file takes masses from elsewhere than its bodies' own elements; empty where nothing does."""
-        for compiler in (e.values for e in self.elements if e.tag == "compiler"):
-            for name in ("inertiafromgeom", "settotalmass"):
-                if compiler.get(name, "auto") not in ("auto", "false"):
-                    return f'the file\'s compiler has {name}="{compiler[name]}"'
-        return ""
-
     def _body(self, point: str) -> _Element | None:
-        """The element of a body by its name, or of the body around a site of that name."""
-        named = [e for e in self.text.elements if "worldbody" in e.above and e.values.get("name") == point]
-        found = next((e for tag in ("site", "body") for e in named if e.tag == tag), None)
-        if found is None:
-            return self._unnamed(point)
-        if found.tag == "body":
-            return found
-        around = [e for e in self.text.elements if e.tag == "body" and e.start < found.start < e.end]
-        return max(around, key=lambda e: e.start, default=None)
+        """The element of a body by its name, or of the body around a site of that name.
 
-    def _unnamed(self, point: str) -> _Element | None:
-        """The element of a body that is called by its number, where all bodies stand in this file, in their order."""
-        bodies = [e for e in self.text.elements if e.tag == "body" and "worldbody" in e.above]
+        Of one without a name by its number, where all bodies stand in this file, in their order.
+        """
+        inside = [e for e in self.text.elements if "worldbody" in e.above]
+        bodies = sorted((e for e in inside if e.tag == "body"), key=lambda e: e.start)
+        named = [e for e in inside if e.values.get("name") == point]
+        if site := next((e for e in named if e.tag == "site"), None):
+            return next((e for e in reversed(bodies) if e.start < site.start < e.end), None)
+        if body := next((e for e in named if e.tag == "body"), None):
+            return body
         if len(bodies) != self.model.nbody - 1:
             return None
-        called = {f"body{b}": e for b, e in enumerate(sorted(bodies, key=lambda e: e.start), 1)}
-        found = called.get(point.rstrip("_"))
-        return None if found is None or "name" in found.values else found
-
-    def _add_payload(self, element: _Element, part: Payload, p: SimpleNamespace) -> None:
-        mass, centre = part.mass(p)
-        place = np.array([float(value) for value in centre])
-        sites = {self.model.site(i).name: i for i in range(self.model.nsite)}
-        if (i := sites.get(part.point)) is not None:
-            turn = Rotation.from_quat(self.model.site_quat[i], scalar_first=True)
-            place = self.model.site_pos[i] + turn.apply(place)
-        if float(mass):
-            inertial = {"pos": "0 0 0", "mass": number(float(mass)), "diaginertia": "0 0 0"}
-            head = (
-                f"<body name={quoteattr(f'payload_{part.point}')} pos={quoteattr(numbers(place.tolist()))}>"
-            )
-            self.text.append(element, [f"{head}{_written('inertial', inertial)}</body>"])
-
-    def _set_inertial(self, element: _Element, body: Body) -> None:
-        known = next(one for one in self.tree.bodies if one.name == body.name)
-        ten = _ten(body)
-        if np.allclose(_ten(known), ten, rtol=SAME, atol=1e-12):
-            return
-        values = {"mass": number(ten[0]), "pos": numbers(ten[1:4]), "fullinertia": numbers(ten[4:])}
-        inside = (*element.above, "body")
-        own = [e for e in self.text.elements if e.tag == "inertial" and e.above == inside]
-        own = [e for e in own if element.start < e.start < element.end]
-        if own:
-            self.text.replace(own[0], _written("inertial", values))
-        else:
-            self.text.insert(element, _written("inertial", values))
+        numbered = dict(zip((f"body{b}" for b in range(1, 1 + len(bodies))), bodies, strict=True))
+        body = numbered.get(point.rstrip("_"))
+        return None if body is None or "name" in body.values else body
 
     def _sections(self, notes: list[str]) -> None:
         """What stands beside the joints: new actuators, the time step, and what is left out as a comment."""
@@ -427,17 +415,39 @@ class _Edit(Drives):
             self.notes.append(left_out(gear, "the joint stays rigid: its link would need a second joint"))
         target = {"joint": known.name}
         found: Attributes = {"armature": number(rotor), "damping": "0 0 0", "frictionloss": "0"}
-        if joint.motors:
+        if joint.motors:  # a coupled motor's rotor: a fixed tendon as long as its angle behind its own gear
             shaft, found = found, found | {"armature": "0"}
             turned_by = {"tendon": f"shaft{self.label(joint)}"}
             tag, attributes = self.act(joint, shaft, found, turned_by, target)
-            self._shaft(joint, turned_by["tendon"], shaft)
+            shaft["damping"] = re.sub(r"( 0)+$", "", shaft["damping"])
+            inside = "".join(
+                _written("joint", {"joint": self.tree.names[link.number - 1], "coef": number(turns / r)})
+                for link, turns in joint.links
+            )
+            named = {"name": turned_by["tendon"]} | shaft
+            self.shafts.append(f"{_written('fixed', named)[:-2]}>{inside}</fixed>")
         else:
             tag, attributes = self.act(joint, found, found, target, target)
         found["damping"] = re.sub(r"( 0)+$", "", found["damping"])
-        found |= self._torque_limit(joint, known, attributes)
+        here = self.model.joint(known.name).id
+        if self.model.jnt_actfrclimited[
+            here
+        ]:  # its limit of torque stays, and is said, but where a servo's is larger
+            low, high = self.model.jnt_actfrcrange[here]
+            unit = "N m" if known.kind == "hinge" else "N"
+            words = f"{known.name}: its actuatorfrcrange, {low:g} to {high:g} {unit},"
+            largest = float(attributes["forcerange"].split()[1]) if "forcerange" in attributes else math.inf
+            if not self.closes(joint):
+                self.notes.append(
+                    f"{words} stays, the model has no such limit; take it out where your records exceed it"
+                )
+            elif largest > min(-low, high):
+                self.notes.append(f"{words} is switched off, the servo's own limit is larger")
+                found |= {"actuatorfrclimited": "false"}
         self.sensed(joint)
-        turned = known.kind == "hinge" and self._in_degrees()
+        # angles of MJCF's text are in degrees unless it says otherwise
+        said = [e.values["angle"] for e in self.elements if e.tag == "compiler" and "angle" in e.values]
+        turned = known.kind == "hinge" and (said[-1] != "radian" if said else True)
         if turned and "springref" in found:
             found["springref"] = number(math.degrees(float(found["springref"])))
         at = int(self.model.joint(known.name).dofadr[0])
@@ -448,40 +458,6 @@ class _Edit(Drives):
         )
         self.text.put(element, _changed(found, alone, turned=turned))
         return self._motor(joint, known, tag, attributes)
-
-    def _torque_limit(self, joint: Joint, known: TreeJoint, attributes: Attributes) -> Attributes:
-        """What becomes of a joint's own limit of torque: it stays, and is said, but where a servo's own is larger."""
-        here = self.model.joint(known.name).id
-        if not self.model.jnt_actfrclimited[here]:
-            return {}
-        low, high = self.model.jnt_actfrcrange[here]
-        unit = "N m" if known.kind == "hinge" else "N"
-        words = f"{known.name}: its actuatorfrcrange, {low:g} to {high:g} {unit},"
-        if not self.closes(joint):
-            self.notes.append(
-                f"{words} stays, the model has no such limit; take it out where your records exceed it"
-            )
-            return {}
-        largest = float(attributes["forcerange"].split()[1]) if "forcerange" in attributes else math.inf
-        if largest <= min(-low, high):
-            return {}
-        self.notes.append(f"{words} is switched off, the servo's own limit is larger")
-        return {"actuatorfrclimited": "false"}
-
-    def _shaft(self, joint: Joint, name: str, found: Attributes) -> None:
-        """The rotor of a coupled motor: a fixed tendon as long as the rotor's angle behind its own gear."""
-        found["damping"] = re.sub(r"( 0)+$", "", found["damping"])
-        turned = (
-            (self.tree.names[link.number - 1], number(turns / joint.gear_ratio))
-            for link, turns in joint.links
-        )
-        inside = "".join(_written("joint", {"joint": link, "coef": coef}) for link, coef in turned)
-        self.shafts.append(f"{_written('fixed', {'name': name} | found)[:-2]}>{inside}</fixed>")
-
-    def _in_degrees(self) -> bool:
-        """Whether angles of the text are in degrees, as MJCF's are unless it says otherwise."""
-        said = [e.values["angle"] for e in self.elements if e.tag == "compiler" and "angle" in e.values]
-        return said[-1] != "radian" if said else True
 
     def _motor(self, joint: Joint, known: TreeJoint, tag: str, attributes: Attributes) -> str:
         """Put the drive's motor in the place of the joint's actuator, or beside the others; returns its name."""

@@ -71,7 +71,17 @@ def to_program(system: System, *, sample_time: float, width: float = 0.5, seed: 
         raise InputError(
             f"{delayed[0]} has a delay, whose past a single step does not know; export without it"
         )
-    engine = _engine(system, sample_time, width)
+    # as many sub-steps as friction near zero speed needs
+    x = torch.zeros(1, 5, len(system.state_names), dtype=torch.float64)
+    u = {name: torch.zeros(1, 5, dtype=torch.float64) for name in system.input_names}
+    dt, y = torch.full((1, 5), sample_time, dtype=torch.float64), torch.zeros(1, 5, 0, dtype=torch.float64)
+    batch = Batch(u, dt, y, y, x, x[:, 0], (), ("rest",))
+    engine = with_substeps(system, Engine("smooth", width=width), batch, system.theta().detach()[:, None])
+    if engine.substeps >= MAX_SUBSTEPS:
+        raise InputError(
+            f"a step of {sample_time:g} s would need {MAX_SUBSTEPS} sub-steps or more beside friction smoothed over "
+            f"±{width:g} rad/s; give a shorter --sample-time or a larger --width"
+        )
     step = Step(system, sample_time, engine).eval().requires_grad_(False)
     draw = torch.Generator().manual_seed(seed)
     sizes = len(system.state_names), len(system.input_names)
@@ -99,18 +109,3 @@ def to_program(system: System, *, sample_time: float, width: float = 0.5, seed: 
         "dtype": "float64",
     }
     return Program(buffer.getvalue(), interface, worst)
-
-
-def _engine(system: System, sample_time: float, width: float) -> Engine:
-    """The smooth engine with as many sub-steps as friction near zero speed needs."""
-    x = torch.zeros(1, 5, len(system.state_names), dtype=torch.float64)
-    u = {name: torch.zeros(1, 5, dtype=torch.float64) for name in system.input_names}
-    dt, y = torch.full((1, 5), sample_time, dtype=torch.float64), torch.zeros(1, 5, 0, dtype=torch.float64)
-    batch = Batch(u, dt, y, y, x, x[:, 0], (), ("rest",))
-    engine = with_substeps(system, Engine("smooth", width=width), batch, system.theta().detach()[:, None])
-    if engine.substeps >= MAX_SUBSTEPS:
-        raise InputError(
-            f"a step of {sample_time:g} s would need {MAX_SUBSTEPS} sub-steps or more beside friction smoothed over "
-            f"±{width:g} rad/s; give a shorter --sample-time or a larger --width"
-        )
-    return engine

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ from scipy.special import ndtri
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.result import NO_ESTIMATE
-from hybrid_id.parameters import Bounded
 from hybrid_id.reading import as_written, read_object
 from hybrid_id.systems.chain import System
 
@@ -31,83 +30,54 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
     Raises:
         InputError: the result is not one of an identification of this model.
     """
-    with as_written("the result", "give that of an identification of this model, as it was written"):
-        return _ranges(system, result)
-
-
-def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
-    selected = (result or {}).get("selected") or {}
-    values, intervals = selected.get("values") or {}, dict(selected.get("intervals") or {})
-    for name in _at_bound(result or {}):  # nothing is claimed there
-        intervals.pop(name, None)
-    if result is not None and not values:
-        raise InputError(
-            "the result holds no identified values; give a folder that 'identify', or 'train' without networks, has "
-            "written"
-        )
-    if foreign := set(values) - {info.name for info in system.table}:
-        raise InputError(
-            f"the result speaks of {min(foreign)}, which the model lacks; give both from one run"
-        )
-    sets = (
-        [
-            dict(zip(result["parameters"], s["values"], strict=True))
-            for s in result["sets"]
-            if s.get("status") not in NO_ESTIMATE
-        ]
-        if result
-        else []
-    )
-    level, known = (result or {}).get("level", 0.95), result or {}
+    result = result or {}
     ranges = {}
-    for info in system.table:
-        name, spec = info.name, info.spec
-        claimed = _claimed(intervals.get(name), known.get("profiles", {}).get(name))
-        spread = [s[name] for s in sets if name in s]
-        grade = known.get("reliability", {}).get(name, {}).get("grade")
-        low, high, source = _range(spec, claimed, spread, float(ndtri(0.5 + level / 2)), name in values)
-        ranges[name] = {
-            "nominal": spec.value,
-            "lower": max(low, spec.lower),
-            "upper": min(high, spec.upper),
-            "unit": info.unit,
-            "from": source,
-            "reliability": grade,
-            "component": info.component,
-        }
+    with as_written("the result", "give that of an identification of this model, as it was written"):
+        selected = result.get("selected") or {}
+        values, intervals = selected.get("values") or {}, dict(selected.get("intervals") or {})
+        if result and not values:
+            raise InputError(
+                "the result holds no identified values; give a folder that 'identify', or 'train' without networks, "
+                "has written"
+            )
+        if foreign := set(values) - {info.name for info in system.table}:
+            raise InputError(
+                f"the result speaks of {min(foreign)}, which the model lacks; give both from one run"
+            )
+        for fit in result.get("sets", []):
+            if fit.get("set") is not None and fit["set"] == selected.get("set"):
+                for name in fit["at_bound"]:  # nothing is claimed there
+                    intervals.pop(name, None)
+        sets = [
+            dict(zip(result["parameters"], fit["values"], strict=True))
+            for fit in result.get("sets", [])
+            if fit.get("status") not in NO_ESTIMATE
+        ]
+        level = result.get("level", 0.95)
+        for info in system.table:
+            name, spec = info.name, info.spec
+            spread = [s[name] for s in sets if name in s]
+            profile, interval = result.get("profiles", {}).get(name), intervals.get(name)
+            ends, source = [spec.value], "unknown" if name in values and spec.estimate else "held"
+            if profile is not None and all(profile["closed"]):
+                ends, source = [profile["lower"], profile["upper"], *spread, spec.value], "profile"
+            elif interval is not None:
+                ends, source = [*interval, *spread, spec.value], "interval"
+            elif spec.estimate and spec.prior_std is not None and spec.prior_mean is not None:
+                off = float(ndtri(0.5 + level / 2)) * spec.prior_std
+                ends, source = [spec.prior_mean - off, spec.prior_mean + off, spec.value], "prior"
+            elif len(set(spread)) > 1:
+                ends, source = [*spread, spec.value], "spread"
+            ranges[name] = {
+                "nominal": spec.value,
+                "lower": max(min(ends), spec.lower),
+                "upper": min(max(ends), spec.upper),
+                "unit": info.unit,
+                "from": source,
+                "reliability": result.get("reliability", {}).get(name, {}).get("grade"),
+                "component": info.component,
+            }
     return {"level": level, "parameters": ranges}
-
-
-def _at_bound(result: Mapping[str, Any]) -> list[str]:
-    """Parameters of the selected set that lie at a bound."""
-    name = (result.get("selected") or {}).get("set")
-    return next(
-        (s["at_bound"] for s in result.get("sets", []) if name is not None and s.get("set") == name), []
-    )
-
-
-def _claimed(
-    interval: Sequence[float] | None, profile: Mapping[str, Any] | None
-) -> tuple[float, float, str] | None:
-    """Ends of the interval that an identification claims, and by what; None where it claims none."""
-    if profile is not None and all(profile["closed"]):
-        return profile["lower"], profile["upper"], "profile"
-    if interval is not None:
-        return interval[0], interval[1], "interval"
-    return None
-
-
-def _range(
-    spec: Bounded, claimed: tuple[float, float, str] | None, spread: list[float], reach: float, fitted: bool
-) -> tuple[float, float, str]:
-    if claimed is not None:
-        return min(claimed[0], *spread, spec.value), max(claimed[1], *spread, spec.value), claimed[2]
-    if spec.estimate and spec.prior_std is not None and spec.prior_mean is not None:
-        off = reach * spec.prior_std
-        return min(spec.prior_mean - off, spec.value), max(spec.prior_mean + off, spec.value), "prior"
-    if len(set(spread)) > 1:
-        return min(*spread, spec.value), max(*spread, spec.value), "spread"
-    return spec.value, spec.value, "unknown" if fitted and spec.estimate else "held"
 
 
 def read_result(path: Path) -> dict[str, Any]:

@@ -18,15 +18,13 @@ from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
 from hybrid_id.export.drives import Mjcf
 from hybrid_id.export.own_file import mujoco_model
-from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fit import known_mean, nrmse, rmse
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of, run_freely
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -154,20 +152,19 @@ def free_runs_of(system: System, dataset: Dataset, horizon: Horizon = WHOLE) -> 
         InputError: a channel that the model needs is missing.
     """
     batch = batch_of(dataset, system, dataset.records)
-    engine = stable_engine(system, compiled_for(system, Engine()), batch)
-    part = horizon.cut(system, engine, batch)
-    run = simulate(system, engine, part) if part is batch else free_runs(system, engine, part)
-    records = {record.name: record for record in dataset.records}
-    first, found = dict.fromkeys(records, 0), []
-    for row, name in enumerate(part.names):
-        whole, samples = records[name], int((part.weight[row] > 0).any(1).sum())
+    own = run_freely(system, compiled_for(system, Engine()), batch, horizon)
+    first, found = dict.fromkeys(batch.names, 0), []
+    for row, name in enumerate(own.pieces.names):
+        whole, samples = dataset[name], int((own.pieces.weight[row] > 0).any(1).sum())
         here = slice(first[name], first[name] + samples)
         first[name] = here.stop
         inputs, outputs = ({k: v[here] for k, v in one.items()} for one in (whole.inputs, whole.outputs))
         piece = replace(whole, time=whole.time[here], inputs=inputs, outputs=outputs)
-        simulated, weight = (of[row, :samples].numpy().T for of in (run.y, part.weight))
-        own, weights = (dict(zip(part.outputs, of, strict=True)) for of in (simulated, weight))
-        found.append(FreeRun(piece, run.x[row, 0].tolist(), own, weights))
+        simulated, weight = (
+            dict(zip(batch.outputs, values[row, :samples].numpy().T, strict=True))
+            for values in (own.simulated.y, own.pieces.weight)
+        )
+        found.append(FreeRun(piece, own.simulated.x[row, 0].tolist(), simulated, weight))
     return found
 
 
@@ -262,8 +259,11 @@ def _mujoco_replay(
     for command, motor in zip(commands, motors, strict=True):
         if command.delays:
             model.actuator_delay[motor] = 0.0
-        else:
-            _fill_delay(mujoco, model, data, motor, command(0, data))
+        elif (held := int(model.actuator_history[motor, 0])) > 0:
+            # what a delay holds at the start: the first command, as the package takes it
+            times = model.opt.timestep * np.arange(-held, 0)
+            fill = mujoco.mj_initCtrlHistory  # type: ignore[attr-defined]
+            fill(model, data, motor, times, np.full(held, command(0, data)))
     switched = any((command.on != 1.0).any() for command in commands)
     limited = model.actuator_ctrllimited[motors].copy()
     pulls = [(matrix, matrix[motors].copy()) for matrix in (model.actuator_gainprm, model.actuator_biasprm)]
@@ -305,13 +305,6 @@ def _channel(name: str) -> tuple[str, int]:
     return channel, int(name[len(channel) :] or 0) - 1
 
 
-def _fill_delay(mujoco: Any, model: Any, data: Any, motor: int, first: float) -> None:
-    """What a delay holds at the start: the first command, as the package takes it."""
-    if (samples := int(model.actuator_history[motor, 0])) > 0:
-        times = model.opt.timestep * np.arange(-samples, 0)
-        mujoco.mj_initCtrlHistory(model, data, motor, times, np.full(samples, first))
-
-
 def _reading(model: Any, system: System, exported: Mjcf, name: str) -> np.ndarray:
     """An output as a sum over MuJoCo's positions and speeds, ``(n_q + n_v,)``: its sensors lag a step."""
     channel, number = _channel(name)
@@ -336,12 +329,6 @@ def _gear(model: Any, joint: Joint) -> str:
     """Name of the hinge that is a gear's deflection in MuJoCo; empty where the gear is rigid there."""
     name = f"gear{joint.number}"
     return name if not joint.rigid and name in {model.joint(k).name for k in range(model.njnt)} else ""
-
-
-def _shaft(exported: Mjcf, joint: Joint, data: Any, field: str) -> float:
-    """Angle or speed of a joint's motor."""
-    links = ((exported.joints[link.number - 1], turns) for link, turns in joint.links)
-    return sum(turns * getattr(data.joint(name), field)[0] for name, turns in links)
 
 
 class _Command:
@@ -397,33 +384,31 @@ class _Command:
 
     def __call__(self, sample: int, data: Any) -> float:
         """The command at a sample."""
-        if self.servo:
-            return self._given(sample, data)
-        speed = _shaft(self._exported, self._joint, data, "qvel")
-        on = float(self.on[sample])
-        return on * self._given(sample, data) + (1.0 - on) * self._induced * speed
+        row = sample
+        if self.delays or (self._late and self._held is None):  # a delay holds back the goal, not the angle
+            # the sample whose command has arrived; half a step forgives the rounding to MuJoCo's
+            now = data.time - self._late + 0.5 * self._tick
+            row = max(int(np.searchsorted(self._time, now, side="right")) - 1, 0)
+        if self._held is not None:
+            given = float(self._held[row])
+        else:  # the loop closes over the rotor's angle or the link's, as its encoder reads it
+            angle, speed = self._shaft(data, "qpos"), self._shaft(data, "qvel")
+            if self._source.at_joint:
+                gear = data.joint(self._gear) if self._gear else None
+                twist, turning = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
+                angle, speed = (
+                    angle / self._joint.gear_ratio + twist,
+                    speed / self._joint.gear_ratio + turning,
+                )
+            motion = [torch.tensor([end], dtype=torch.float64) for end in (angle, speed)]
+            for encoder, view in self._encoders:
+                motion[0] = encoder.read(view, motion[0])
+            command = self._at({c: v[row : row + 1] for c, v in self._channels.items()}, *motion)
+            given = float(command[0]) / (self._joint.gear_ratio if self._source.at_joint else 1.0)
+        on = 1.0 if self.servo else float(self.on[sample])
+        return given if on == 1.0 else on * given + (1.0 - on) * self._induced * self._shaft(data, "qvel")
 
-    def _given(self, sample: int, data: Any) -> float:
-        if self._held is not None:  # whose delay is the actuator's
-            return float(self._held[self._arrived(data) if self.delays else sample])
-        angle, speed = (torch.tensor([end], dtype=torch.float64) for end in self._motion(data))
-        for encoder, view in self._encoders:  # the loop closes over what its encoder reads
-            angle = encoder.read(view, angle)
-        row = self._arrived(data) if self._late else sample  # a delay holds back the goal, not the angle
-        command = self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle, speed)
-        return float(command[0]) / (self._joint.gear_ratio if self._source.at_joint else 1.0)
-
-    def _motion(self, data: Any) -> tuple[float, float]:
-        """Angle and speed that the loop is closed over: of the rotor, or of the link."""
-        angle, speed = (_shaft(self._exported, self._joint, data, field) for field in ("qpos", "qvel"))
-        if not self._source.at_joint:
-            return angle, speed
-        r = self._joint.gear_ratio
-        gear = data.joint(self._gear) if self._gear else None
-        twist, rate = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
-        return angle / r + twist, speed / r + rate
-
-    def _arrived(self, data: Any) -> int:
-        """The sample whose command has arrived; half a step forgives the rounding to MuJoCo's."""
-        arrived = data.time - self._late + 0.5 * self._tick
-        return max(int(np.searchsorted(self._time, arrived, side="right")) - 1, 0)
+    def _shaft(self, data: Any, field: str) -> float:
+        """Angle or speed of the joint's motor."""
+        links = ((self._exported.joints[link.number - 1], turns) for link, turns in self._joint.links)
+        return sum(turns * getattr(data.joint(name), field)[0] for name, turns in links)

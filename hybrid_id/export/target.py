@@ -15,7 +15,6 @@ from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.replay import (
     READ,
     Agreement,
-    FreeRun,
     Summary,
     agreement,
     free_runs_of,
@@ -23,7 +22,7 @@ from hybrid_id.export.replay import (
     summarise,
 )
 from hybrid_id.identification.horizons import WHOLE, Horizon
-from hybrid_id.parameters import Bounded, ParameterInfo
+from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.units import number_of
 from hybrid_id.systems.by_joint import with_joint_names
@@ -195,27 +194,43 @@ def _refit(
 ) -> System:
     """The system with those parameters that MuJoCo has fitted there; itself where there is nothing to win."""
     runs = free_runs_of(system, train, horizon)
-    here = np.concatenate([_weighted(run, run.outputs) for run in runs])
-    joint = np.concatenate([_joints(run) for run in runs])
+
+    def weighted(outputs: Sequence[Mapping[str, np.ndarray]]) -> np.ndarray:
+        """Errors of free runs in the outputs that MuJoCo has, over the standard deviation of their measurement."""
+        errors = [
+            (simulated[name] - run.record.signal(name)) * run.weight[name]
+            for run, simulated in zip(runs, outputs, strict=True)
+            for name in run.outputs
+            if name[:3] in READ
+        ]
+        return np.nan_to_num(np.concatenate(errors), nan=LOST, posinf=LOST, neginf=-LOST)
+
     stage, done, total = "replays of train records", 0, 1
 
     def errors(there: System) -> np.ndarray:
         nonlocal done
         try:
-            replays = mujoco_replays(there, to_mjcf(there), runs)
-            found = np.concatenate([_weighted(run, one) for run, one in zip(runs, replays, strict=True)])
+            found = weighted(mujoco_replays(there, to_mjcf(there), runs))
         except InputError:
             found = np.full(here.shape, LOST)
         done += 1
         say(stage, min(done, total), total)
         return found
 
+    here = weighted([run.outputs for run in runs])
     own = errors(system)
     size = float(np.linalg.norm(own))
     if size <= SCATTER * np.linalg.norm(here):
         return system
     estimated = [system.table[row] for row in system.estimated]
     if system.tree is not None and not system.tree.couplings:  # the others have nothing to win
+        numbers = [
+            np.full(run.record.n_samples, int(number_of(name) or 0))
+            for run in runs
+            for name in run.outputs
+            if name[:3] in READ
+        ]
+        joint = np.concatenate(numbers)
         lost = [
             f"{one.name}/"
             for one in system.joints
@@ -223,22 +238,19 @@ def _refit(
         ]
         estimated = [info for info in estimated if info.component.startswith(tuple(lost))]
     total = 1 + len(estimated) + STEPS * (1 + len(estimated))
-    moving = [
-        info
-        for info in estimated
-        if np.linalg.norm(errors(system.with_values({info.name: _probed(info.spec)})) - own) > MOVED * size
-    ]
+    moving: list[ParameterInfo] = []
+    for info in (
+        estimated
+    ):  # a value a little off, on the side where its bounds leave more room, shows what MuJoCo has
+        spec = info.spec
+        change = PROBE * abs(spec.value) or PROBE**3
+        up, down = min(spec.value + change, spec.upper), max(spec.value - change, spec.lower)
+        probed = up if up - spec.value >= spec.value - down else down
+        if np.linalg.norm(errors(system.with_values({info.name: probed})) - own) > MOVED * size:
+            moving.append(info)
+    if not moving:
+        return system
     total = done + STEPS * (1 + len(moving))
-    return _fitted(system, moving, starts, errors) if moving else system
-
-
-def _fitted(
-    system: System,
-    moving: Sequence[ParameterInfo],
-    starts: Sequence[System],
-    errors: Callable[[System], np.ndarray],
-) -> System:
-    """The system with some parameters fitted to the fewest errors, priors among them, from the best of all starts."""
 
     def at(x: np.ndarray) -> System:
         return system.with_values({info.name: float(v) for info, v in zip(moving, x, strict=True)})
@@ -248,7 +260,9 @@ def _fitted(
         return np.concatenate([errors(at(x)), [(v - spec.prior_mean) / spec.prior_std for v, spec in pairs]])
 
     low, high = np.array([(info.spec.lower, info.spec.upper) for info in moving]).T
-    known = [{info.name: info.spec.value for info in one.table} for one in (system, *starts)]
+    known: list[dict[str, float]] = [
+        {info.name: info.spec.value for info in one.table} for one in (system, *starts)
+    ]
     begins = [
         np.clip([values.get(info.name, info.spec.value) for info in moving], low, high) for values in known
     ]
@@ -258,23 +272,3 @@ def _fitted(
     if np.linalg.norm(residual(best)) <= SCATTER * np.linalg.norm(fit.fun):  # nothing won but scatter
         return system if best is begins[0] else at(best)
     return at(fit.x)
-
-
-def _weighted(run: FreeRun, outputs: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Errors of a free run's outputs, of those that MuJoCo has, over the standard deviation of their measurement."""
-    names = [name for name in run.outputs if name[:3] in READ]
-    found = np.concatenate([(outputs[name] - run.record.signal(name)) * run.weight[name] for name in names])
-    return np.nan_to_num(found, nan=LOST, posinf=LOST, neginf=-LOST)
-
-
-def _joints(run: FreeRun) -> np.ndarray:
-    """Number of the joint that each of these errors belongs to."""
-    names = [name for name in run.outputs if name[:3] in READ]
-    return np.repeat([int(number_of(name) or 0) for name in names], run.record.n_samples)
-
-
-def _probed(spec: Bounded) -> float:
-    """A value a little off the present one, within the bounds: on the side where there is more room."""
-    change = PROBE * abs(spec.value) or PROBE**3
-    up, down = min(spec.value + change, spec.upper), max(spec.value - change, spec.lower)
-    return up if up - spec.value >= spec.value - down else down

@@ -19,7 +19,7 @@ from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.statistics.fit import fit_percent
 from hybrid_id.study import Study, identify
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.builders import carry_over
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import ModelFile, build_model

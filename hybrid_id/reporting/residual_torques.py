@@ -16,7 +16,7 @@ from hybrid_id.reporting.diagnosis_words import joined, percent
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import journal, new_figure, pixels
 from hybrid_id.reporting.tables import count, records_table, table
-from hybrid_id.study.residual_torques import ArmHybrid, JointHybrid, TorqueMap
+from hybrid_id.study.residual_torques import ArmHybrid, TorqueMap
 
 _HOW = (
     "Each joint is taken by itself, the others as measured. Physics is fitted alone, then a network of the joint's "
@@ -94,32 +94,23 @@ def _means(errors: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
 
 def joints_table(found: ArmHybrid) -> Table:
     """A row a joint: whether its network stays, and both errors on records left out and on test records."""
-    rows = [
-        (
-            name, "stays" if one.size is not None else "none", *_cells(one.left_out), *_cells(one.tested),
-            "" if one.map is None else percent(one.map.share), _moved(one),
-        )
-        for name, one in found.joints.items()
-    ]  # fmt: skip
+    rows = []
+    for name, one in found.joints.items():
+        errors = [
+            f"{error:.3g}" if of else ""
+            for of in (one.left_out, one.tested)
+            for error in (_means(of) if of else ("", ""))
+        ]
+        moved = ""  # the largest change of a physical parameter
+        if one.size is not None and one.drift:
+            most = max(one.drift, key=lambda parameter: abs(one.drift[parameter]))
+            moved = f"at most {abs(one.drift[most]):.1f} ({most})"
+        share = "" if one.map is None else percent(one.map.share)
+        rows.append((name, "none" if one.size is None else "stays", *errors, share, moved))
     heads = ("joint", "network", "records left out: physics alone>", "with network>",
              "test records: physics alone>", "with network >", "its torque over the drive's>",
              "parameters moved [σ]>")  # fmt: skip
     return table(heads, rows)
-
-
-def _cells(errors: Mapping[str, tuple[float, float]]) -> tuple[str, str]:
-    if not errors:
-        return "", ""
-    before, after = _means(errors)
-    return f"{before:.3g}", f"{after:.3g}"
-
-
-def _moved(one: JointHybrid) -> str:
-    """The largest change of a physical parameter."""
-    if one.size is None or not one.drift:
-        return ""
-    name = max(one.drift, key=lambda n: abs(one.drift[n]))
-    return f"at most {abs(one.drift[name]):.1f} ({name})"
 
 
 def residuals_table(found: ArmHybrid) -> RenderableType:

@@ -33,7 +33,7 @@ from hybrid_id.reporting.tables import count
 from hybrid_id.statistics.profile import Profile
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
-from hybrid_id.study.arm_excitation import ArmExcitation
+from hybrid_id.study.excitation import ArmExcitation
 from hybrid_id.study.result import against_truth
 
 MAX_TITLE = 50

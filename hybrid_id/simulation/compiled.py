@@ -142,8 +142,9 @@ def linearise(
     columns = x.shape[-1] + len(free)
     jacobian = x.new_empty(*x.shape, columns + len(late))
     equations, constants = _equations(system, engine, names, tuple(free), late)
-    point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, engine.substeps)
-    call(_engine(), "linearise", equations, after, jacobian, x.contiguous(), *point, *sizes)
+    held = torch.stack(list(u.values())) if u else dt.new_empty(0)
+    point = x.contiguous(), held, (dt / engine.substeps).contiguous(), _values(theta, constants)
+    call(_engine(), "linearise", equations, after, jacobian, *point, *dt.shape, engine.substeps)
     for k, (_, column, slope) in enumerate(slopes):
         jacobian[..., x.shape[-1] + column] += jacobian[..., columns + k] * slope[..., None]
     return after, jacobian[..., :columns]
@@ -216,13 +217,6 @@ def _program() -> str:
     return digest.hexdigest()
 
 
-def _point(
-    u: Mapping[str, Tensor], step: Tensor, theta: Tensor, constants: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    held = torch.stack(list(u.values())) if u else step.new_empty(0)
-    return held, step.contiguous(), _values(theta, constants)
-
-
 def _values(theta: Tensor, constants: Tensor) -> Tensor:
     """Parameters and constants of each row, ``(R, n)``."""
     return torch.cat([theta.T, constants.expand(theta.shape[1], -1)], 1).contiguous()
@@ -264,22 +258,15 @@ def _delay_slopes(
 
 def structure(system: System) -> tuple[object, ...]:
     """What the code depends on: gear ratios, tree, and of each component its class and all but its values."""
-    return (
-        system.gear_ratio,
-        system.tree,
-        () if system.tree is None else tuple(system.tree.points.items()),
-        system.seats,
-        tuple((key, type(part), _own(part)) for key, part in system.components.items()),
-    )
-
-
-def _own(part: nn.Module) -> str:
-    """What a component holds beside its parameters, written out."""
-    declared = cast(Component, part).declared
-    kept = {name: value for name, value in vars(part).items() if name not in EVERY_MODULE}
-    kept |= {name: value for name, value in part.state_dict().items() if name not in declared}
-    arrays = (Tensor, np.ndarray)
-    return repr({name: v.tolist() if isinstance(v, arrays) else v for name, v in kept.items()})
+    parts, arrays = [], (Tensor, np.ndarray)
+    for key, part in system.components.items():
+        declared = cast(Component, part).declared
+        kept = {name: value for name, value in vars(part).items() if name not in EVERY_MODULE}
+        kept |= {name: value for name, value in part.state_dict().items() if name not in declared}
+        kept = {name: value.tolist() if isinstance(value, arrays) else value for name, value in kept.items()}
+        parts.append((key, type(part), repr(kept)))
+    points = () if system.tree is None else tuple(system.tree.points.items())
+    return system.gear_ratio, system.tree, points, system.seats, tuple(parts)
 
 
 def source(

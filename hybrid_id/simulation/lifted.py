@@ -333,7 +333,8 @@ def shoot(
     starts = x[:, ::length].reshape(rows * chunks, n_x)
     steps = chunked(dt).unbind(1)
     channels = {name: chunked(channel).unbind(1) for name, channel in u.items()}
-    p = system.views([*_spread(theta, chunks)])
+    shared = bool((theta == theta[:, :1]).all())
+    p = system.views([*(theta[:, :1] if shared else theta.repeat_interleave(chunks, 1))])
     state = list(starts.unbind(1))
     path = [starts]
     for k in range(length - 1):
@@ -341,9 +342,3 @@ def shoot(
         state = engine.sample(system, state, held, steps[k], p)
         path.append(torch.stack(state, -1))
     return torch.stack(path, 1).reshape(rows, chunks * length, n_x)[:, :samples]
-
-
-def _spread(theta: Tensor, count: int) -> Tensor:
-    """Parameters of each row for ``count`` lanes a row, ``(n_p, R * count)``, or ``(n_p, 1)`` where rows agree."""
-    shared = bool((theta == theta[:, :1]).all())
-    return theta[:, :1] if shared else theta.repeat_interleave(count, 1)

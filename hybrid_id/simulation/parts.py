@@ -73,20 +73,14 @@ def lanes(name: str, arrays: Sequence[str], body: Body) -> tuple[str, str]:
     if len(texts) == 1:
         return "", texts[0]
     given = [*arrays, "between"]
-    declared = ", ".join(map(_declared, given))
+    kinds = (f"{'double' if array in WRITTEN else 'const double'} (*{array})[W]" for array in given)
+    declared = ", ".join(kinds).replace("const double (*g)[W]", "double (*g)[MC][W]")
     functions = [
         f"static __attribute__((noinline)) void {name}_{k}({declared})\n{{\n{text}\n}}\n"
         for k, text in enumerate(texts)
     ]
     calls = [f"{name}_{k}({', '.join(given)});" for k in range(len(texts))]
     return "\n".join(functions), lines([f"double between[{body.between}][W] ALIGNED;", *calls])
-
-
-def _declared(array: str) -> str:
-    """A parameter of a part, which is an array."""
-    if array == "g":
-        return "double (*g)[MC][W]"
-    return f"{'double' if array in WRITTEN else 'const double'} (*{array})[W]"
 
 
 def in_lanes(body: str) -> str:

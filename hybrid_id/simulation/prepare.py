@@ -68,25 +68,61 @@ def make_batch(
         joint.drive.check()
     outputs = tuple(outputs if outputs is not None else records[0].outputs)
     for record in records:
-        _check(system, record, outputs)
+        for name in system.input_names:
+            if name not in record.inputs and name not in record.outputs:
+                raise InputError(
+                    f"{record.title} has no channel '{name}', which the model needs; "
+                    "add it to the dataset or change the model's input."
+                )
+        for name in outputs:
+            if name not in record.outputs:
+                raise InputError(
+                    f"{record.title} has no output '{name}' to compare with; it has {', '.join(record.outputs)}, so "
+                    "choose among those."
+                )
+        if record.n_samples < RESTING:
+            raise InputError(f"{record.title} has {record.n_samples} samples; give at least {RESTING}.")
+
     samples = max(record.n_samples for record in records)
     u = {name: _padded([r.signal(name) for r in records], samples) for name in system.input_names}
     u = system.arm.with_loads(u)
     for name in (f"enable{joint.number}" for joint in system.joints):
         if any(name in r.inputs for r in records):  # a motor without a switch is on
             u[name] = _padded([r.inputs.get(name, np.ones(r.n_samples)) for r in records], samples)
-    u |= _past(system, records, samples)
+    shortest = min(record.sample_time for record in records)
+    for joint in system.joints:  # past samples that a delay reaches back to, and the step [s] between them
+        for name, lags in joint.drive.past(shortest).items():
+            for k in range(1, lags + 1):
+                signals = (r.signal(name) for r in records)
+                past = [
+                    np.concatenate([np.repeat(s[:1], min(k, len(s))), s[: max(len(s) - k, 0)]])
+                    for s in signals
+                ]
+                u[f"{name}@{k}"] = _padded(past, samples)
+            steps = [np.full(r.n_samples, r.sample_time) for r in records]
+            u[f"step{joint.number}"] = _padded(steps, samples)
     dt = _padded([np.append(np.diff(record.time), 0.0) for record in records], samples, hold=False)
     y = torch.stack([_padded([record.outputs[name] for record in records], samples) for name in outputs], -1)
+
+    # Where a joint stands, a record shows next to nothing of its sensor's noise and of what a good model misses: its
+    # deviations are a tenth of the typical ones at least. For an output that never changes the typical one stands, or
+    # that of an output of its kind, or 1.
     noises = [{name: _noise(record, name, noise_std) for name in record.outputs} for record in records]
-    weight, guess, start_std = torch.zeros_like(y), [], []
     typical = typical or typical_deviations(records, noise_std=noise_std, signal_share=signal_share)
-    deviation = _deviations(records, outputs, noises, signal_share, typical)
+    usual, kinds = (
+        np.array([typical.get(name, 0.0) for name in outputs]),
+        np.array([stem(name) for name in outputs]),
+    )
+    alike = np.array([usual[kinds == kind].max() for kind in kinds])
+    instead = np.where(usual > 0, usual, np.where(alike > 0, alike, 1.0))
+    weight, guess, start_std = torch.zeros_like(y), [], []
     for row, (record, noise) in enumerate(zip(records, noises, strict=True)):
-        weight[row, : record.n_samples] = torch.tensor(1.0 / deviation[row])
-        states, stds = _states(system, record, noise, estimate_start)
+        shown = np.array([_deviation(record, name, noise[name], signal_share) for name in outputs])
+        deviation = np.where(shown > 0, np.maximum(shown, LEAST * usual), instead)
+        weight[row, : record.n_samples] = torch.tensor(1.0 / deviation)
+        states, stds = _measured_states(system, record, noise)
         guess.append(states)
-        start_std.append(stds)
+        start_std.append(stds if estimate_start else np.zeros_like(stds))
     x = torch.stack([_padded([g[:, i] for g in guess], samples) for i in range(len(system.state_names))], -1)
     x0_std = torch.tensor(np.array(start_std), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
@@ -95,74 +131,6 @@ def make_batch(
         _free_in_motion(system, records, x, x0_std, u)
     _start_sensor_states(system, x, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
-
-
-def _past(system: System, records: Sequence[Record], samples: int) -> dict[str, Tensor]:
-    """Past samples of the channels that a delay reaches back to, ``u1@k``, and the step ``step1`` [s] between them."""
-    step, found = min(record.sample_time for record in records), {}
-    for joint in system.joints:
-        for name, lags in joint.drive.past(step).items():
-            signals = [r.signal(name) for r in records]
-            for k in range(1, lags + 1):
-                past = [
-                    np.concatenate([np.repeat(s[:1], min(k, len(s))), s[: max(len(s) - k, 0)]])
-                    for s in signals
-                ]
-                found[f"{name}@{k}"] = _padded(past, samples)
-            steps = [np.full(r.n_samples, r.sample_time) for r in records]
-            found[f"step{joint.number}"] = _padded(steps, samples)
-    return found
-
-
-def _check(system: System, record: Record, outputs: Sequence[str]) -> None:
-    """Raise InputError where a record cannot be simulated by the system or compared with its outputs."""
-    for name in system.input_names:
-        if name not in record.inputs and name not in record.outputs:
-            raise InputError(
-                f"{record.title} has no channel '{name}', which the model needs; "
-                "add it to the dataset or change the model's input."
-            )
-    for name in outputs:
-        if name not in record.outputs:
-            known = ", ".join(record.outputs)
-            raise InputError(
-                f"{record.title} has no output '{name}' to compare with; it has {known}, so choose among those."
-            )
-    if record.n_samples < RESTING:
-        raise InputError(f"{record.title} has {record.n_samples} samples; give at least {RESTING}.")
-
-
-def _deviations(
-    records: Sequence[Record],
-    outputs: Sequence[str],
-    noises: Sequence[Mapping[str, float]],
-    signal_share: float,
-    typical: Mapping[str, float],
-) -> np.ndarray:
-    """Standard deviation of each record's measurements, ``(R, n_y)``.
-
-    Where a joint stands, a record shows next to nothing of its sensor's noise and of what a good model misses: its
-    deviations are a tenth of the typical ones at least. For an output that never changes the typical one stands, or
-    that of an output of its kind, or 1.
-
-    Args:
-        records: to be simulated.
-        outputs: that are compared.
-        noises: standard deviation of the noise of each record and output.
-        signal_share: see :func:`make_batch`.
-        typical: deviation of each output that is typical of the records that these are among.
-    """
-    deviation = np.array(
-        [
-            [_deviation(record, name, noise[name], signal_share) for name in outputs]
-            for record, noise in zip(records, noises, strict=True)
-        ]
-    )
-    usual = np.array([typical.get(name, 0.0) for name in outputs])
-    kinds = np.array([stem(name) for name in outputs])
-    alike = np.array([usual[kinds == kind].max() for kind in kinds])
-    instead = np.where(usual > 0, usual, np.where(alike > 0, alike, 1.0))
-    return np.where(deviation > 0, np.maximum(deviation, LEAST * usual), instead)
 
 
 def typical_deviations(
@@ -202,28 +170,27 @@ def _noise(record: Record, name: str, noise_std: Mapping[str, float | None] | No
     return noise_of(record, name) if given is None else float(given)
 
 
-def _states(
-    system: System, record: Record, noise: Mapping[str, float], estimate_start: bool
+def _measured_states(
+    system: System, record: Record, noise: Mapping[str, float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Guess of all states (T, n_x) of one record, and the uncertainty of its first row (n_x,)."""
     states = np.zeros((record.n_samples, len(system.state_names)))
     stds = np.zeros(len(system.state_names))
     rest = rest_samples(record)
     for joint in system.joints:
-        n, ratio = joint.number, joint.gear_ratio
-        row = joint.positions[0]
-        states[:, row : row + 2], stds[row : row + 2] = _rotor_motion(joint, record, noise, rest)
+        rotor = slice(joint.positions[0], joint.positions[0] + 2)
+        states[:, rotor], stds[rotor] = _rotor_motion(joint, record, noise, rest)
         if joint.rigid:
             continue
-        link = joint.positions[1]
-        if f"q_a{n}" in record.outputs:
-            states[:, link : link + 2], stds[link : link + 2] = _motion(joint, record, f"q_a{n}", noise, rest)
+        link, name = slice(joint.positions[1], joint.positions[1] + 2), f"q_a{joint.number}"
+        if name in record.outputs:
+            states[:, link], stds[link] = _motion(joint, record, name, noise, rest)
         else:
-            states[:, link : link + 2] = states[:, row : row + 2] / ratio
-            stds[link : link + 2] = stds[row : row + 2] / ratio
-    return states, stds if estimate_start else np.zeros_like(stds)
+            states[:, link], stds[link] = states[:, rotor] / joint.gear_ratio, stds[rotor] / joint.gear_ratio
+    return states, stds
 
 
+@torch.no_grad()
 def _wind_up(
     system: System, records: Sequence[Record], x: Tensor, x0_std: Tensor, u: Mapping[str, Tensor]
 ) -> None:
@@ -235,13 +202,23 @@ def _wind_up(
     if not any(sides):
         return
     still = torch.tensor([rest_samples(record) >= RESTING for record in records])
+    steps = torch.tensor([record.sample_time for record in records])
     first = {name: channel[:, 0] for name, channel in u.items()}
     for number, (joint, side) in enumerate(zip(system.joints, sides, strict=True)):
         if not side:
             continue
         (hidden,) = side
         begun = list(x[:, 0].unbind(1))
-        needed = _needed_at_start(system, records, x, first, still)[number]
+        needed = torch.zeros_like(x[:, 0, 0])
+        if system.tree is not None:
+            accelerations = [
+                torch.where(still, 0.0, (x[:, START, row] - x[:, 0, row]) / (START * steps))
+                for row in (joint.positions[-1] + 1 for joint in system.joints)
+            ]
+            torques = system.arm.needed(
+                begun, accelerations, first, system.views(list(system.theta()[:, None]))
+            )
+            needed = torch.as_tensor(torques[number]).to(x).expand(len(records))
         twist = _loaded_twist(system, joint, begun, first, needed, still)
         if system.tree is None:
             twist = twist * still
@@ -255,41 +232,30 @@ def _wind_up(
 def _free_in_motion(
     system: System, records: Sequence[Record], x: Tensor, x0_std: Tensor, u: Mapping[str, Tensor]
 ) -> None:
-    """Let a fit wind up a hidden side of a gear that begins in motion as far as the motor's torque does.
+    """Let a fit wind up a hidden side of a gear that begins in motion as far as the RMS of the motor's torque does.
 
     Nobody knows how the spring swings there; a gear that may begin anywhere explains whatever a short record lacks.
     """
     hidden = [(joint, rows) for joint in system.joints if (rows := joint.hidden_rows(records[0].outputs))]
     moving = [k for k, record in enumerate(records) if rest_samples(record) < RESTING] if hidden else []
+    p, still = system.views(list(system.theta()[:, None])), torch.tensor([False])
     for k in moving:
         own = list(x[k, : records[k].n_samples].unbind(1))
         channels = {name: channel[k, : records[k].n_samples] for name, channel in u.items()}
+        first = {name: channel[:1] for name, channel in channels.items()}
         for joint, rows in hidden:
-            reach = _wound_by_motor(system, joint, own, channels)
-            reach *= 1.0 if rows[0] == joint.positions[1] else joint.gear_ratio
+            (key, motor), (rotor, link) = joint.drive.motor, joint.positions
+            # of a winding that lags it is the torque before
+            torque = motor.torque(p[key], joint.drive.command(own, channels, p), own[joint.drive.rotor + 1])
+            needed = joint.gear_ratio * torch.as_tensor(torque).to(x).square().mean().sqrt().reshape(1)
+            begun = [row[:1] for row in own]
+            begun[link] = begun[rotor] / joint.gear_ratio
+            ends = [_loaded_twist(system, joint, begun, first, sign * needed, still) for sign in (1.0, -1.0)]
+            reach = 0.5 * (ends[0] - ends[1]).abs().squeeze()
+            reach *= 1.0 if rows[0] == link else joint.gear_ratio
             angle, speed = own[rows[0]].std(), own[rows[0] + 1].std()
             spread = [reach, reach * speed / angle.clamp_min(1e-12)][: len(rows)]
             x0_std[k, rows] += torch.stack(spread) * (x0_std[k, rows] > 0)
-
-
-def _wound_by_motor(system: System, joint: Joint, x: Sequence[Tensor], u: Channels) -> Tensor:
-    """Twist at the link [rad] of a joint that begins in motion under the RMS of its motor's torque over a record.
-
-    Args:
-        system: of the joint.
-        joint: with a compliant gear.
-        x: guess of the record's states, ``(T,)`` each.
-        u: its channels, ``(T,)`` each.
-    """
-    (key, motor), drive, p = joint.drive.motor, joint.drive, system.views(list(system.theta()[:, None]))
-    # of a winding that lags it is the torque before
-    torque = motor.torque(p[key], drive.command(x, u, p), x[drive.rotor + 1])
-    needed = joint.gear_ratio * torch.as_tensor(torque).to(x[0]).square().mean().sqrt().reshape(1)
-    first, begun = {name: channel[:1] for name, channel in u.items()}, [row[:1] for row in x]
-    begun[joint.positions[1]] = begun[joint.positions[0]] / joint.gear_ratio
-    still = torch.tensor([False])
-    ends = [_loaded_twist(system, joint, begun, first, sign * needed, still) for sign in (1.0, -1.0)]
-    return 0.5 * (ends[0] - ends[1]).abs().squeeze()
 
 
 def _stopped(system: System, x: Sequence[Tensor]) -> list[Tensor]:
@@ -370,26 +336,6 @@ def _start_sensor_states(system: System, x: Tensor, u: Mapping[str, Tensor]) -> 
 
 
 @torch.no_grad()
-def _needed_at_start(
-    system: System, records: Sequence[Record], x: Tensor, u: Channels, still: Tensor
-) -> list[Tensor]:
-    """Torque at each link of a robot [N m], ``(R,)``, that its motion at the start needs, where it is still at rest.
-
-    Zeros without a description.
-    """
-    if system.tree is None:
-        return [torch.zeros_like(x[:, 0, 0])] * len(system.joints)
-    steps = torch.tensor([record.sample_time for record in records])
-    accelerations = [
-        torch.where(still, 0.0, (x[:, START, row] - x[:, 0, row]) / (START * steps))
-        for row in (joint.positions[-1] + 1 for joint in system.joints)
-    ]
-    p = system.views(list(system.theta()[:, None]))
-    found = system.arm.needed(list(x[:, 0].unbind(1)), accelerations, u, p)
-    return [torch.as_tensor(torque).to(x).expand(len(records)) for torque in found]
-
-
-@torch.no_grad()
 def _loaded_twist(
     system: System, joint: Joint, x: list[Tensor], u: Channels, needed: Tensor, still: Tensor
 ) -> Tensor:
@@ -465,46 +411,36 @@ def _motion(
     joint: Joint, record: Record, name: str, noise: Mapping[str, float], rest: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Angle and speed (T, 2) of one side from its output ``name``, and the uncertainty of the first sample (2,)."""
-    steps = record.sample_time if record.is_uniform else record.time
-    std = noise[name]
+    steps = np.asarray(record.sample_time if record.is_uniform else record.time, float).tobytes()
+    std, channel = noise[name], name.rstrip("0123456789")
     if name.startswith("v"):
-        speed = _smooth(record.outputs[name], steps, std)[0]
+        speed = _smooth(record.outputs[name].tobytes(), steps, std)[0].copy()
         turned = np.diff(record.time) * (speed[1:] + speed[:-1]) / 2.0
         angle, first = np.concatenate([[0.0], np.cumsum(turned)]), (0.0, std)
     else:
-        offset, estimated = _encoder_offset(joint, name.rstrip("0123456789"))
-        measured = record.outputs[name] - offset
-        angle, speed = _smooth(measured, steps, std)
+        # what the sensors read at the model's zero [rad], and whether a fit may move it
+        sensors = [part for _, part in joint.sensing.sensors if part.channel == channel]
+        zero = torch.zeros(
+            (), dtype=torch.float64, device="cpu"
+        )  # without dimensions it goes with every device
+        with torch.no_grad():
+            measured = record.outputs[name] - sum(part.read(part.view(), zero).item() for part in sensors)
+        angle, speed = (signal.copy() for signal in _smooth(measured.tobytes(), steps, std))
         # at its end a cubic through nine samples, the smoothing's short window, has this slope's error
         first = std, std / record.sample_time
         if rest >= RESTING:
             # readings that stay on one count do not average: the angle lies anywhere within it
             count = quantisation_step(measured) / np.sqrt(12) if np.ptp(measured[:rest]) == 0.0 else 0.0
             angle[:rest], first = np.mean(measured[:rest]), (max(std / np.sqrt(rest), count), 0.0)
-        if estimated:
+        if any(spec.estimate for part in sensors for spec in part.specs.values()):
             first = np.ptp(angle) + 1.0, first[1]
     if rest >= RESTING:
         speed[:rest], first = 0.0, (first[0], 0.0)
     return np.stack([angle, speed], 1), np.array(first)
 
 
-def _smooth(values: np.ndarray, steps: float | np.ndarray, std: float) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed samples and their derivative, for the caller to change."""
-    value, slope = _smooth_once(values.tobytes(), np.asarray(steps, float).tobytes(), std)
-    return value.copy(), slope.copy()
-
-
 @lru_cache(maxsize=64)
-def _smooth_once(values: bytes, steps: bytes, std: float) -> tuple[np.ndarray, np.ndarray]:
-    # a search prepares the same records for hundreds of models
+def _smooth(values: bytes, steps: bytes, std: float) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed samples and their derivative: a search prepares the same records for hundreds of models."""
     stamps = np.frombuffer(steps)
     return smooth_derivatives(np.frombuffer(values), stamps if len(stamps) > 1 else float(stamps[0]), std)[:2]
-
-
-def _encoder_offset(joint: Joint, channel: str) -> tuple[float, bool]:
-    """What the sensors of a channel read at the model's zero [rad], and whether a fit may move it."""
-    sensors = [part for _, part in joint.sensing.sensors if part.channel == channel]
-    zero = torch.zeros((), dtype=torch.float64, device="cpu")  # without dimensions it goes with every device
-    with torch.no_grad():
-        offset = sum(part.read(part.view(), zero).item() for part in sensors)
-    return offset, any(spec.estimate for part in sensors for spec in part.specs.values())

@@ -58,18 +58,14 @@ class HeldField(nn.Module):
 
     def forward(self, s: Tensor, x: Tensor) -> Tensor:
         """Rates of all lanes, ``(n_x, B)``, at the states ``x`` ``(n_x, B)``; the time ``s`` does not enter."""
-        return self.dt * torch.stack(ode_rates(self.system, x.unbind(0), self.u, self.p, self.width))
-
-
-def ode_rates(system: System, x: Rows, u: Channels, p: Views, width: float) -> list[Tensor]:
-    """Time derivative of all state rows, ``(B,)`` each, with smooth friction and what remembers."""
-    rates = system.rates(x, u, p, width=width)
-    for row, (drive, rate, low, high) in system.state_updates(x, u, p):
-        rates[row] = drive - rate * x[row]
-        if low is not None and high is not None:
-            least, most = (low - x[row]) / NEAR_BOUND, (high - x[row]) / NEAR_BOUND
-            rates[row] = torch.maximum(torch.minimum(rates[row], most), least)
-    return rates
+        rows = x.unbind(0)
+        rates = self.system.rates(rows, self.u, self.p, width=self.width)
+        for row, (drive, rate, low, high) in self.system.state_updates(rows, self.u, self.p):
+            rates[row] = drive - rate * rows[row]
+            if low is not None and high is not None:
+                least, most = (low - rows[row]) / NEAR_BOUND, (high - rows[row]) / NEAR_BOUND
+                rates[row] = torch.maximum(torch.minimum(rates[row], most), least)
+        return self.dt * torch.stack(rates)
 
 
 def extra_parameters(system: System) -> list[nn.Parameter]:
@@ -155,24 +151,20 @@ class OdeEngine(Engine):
         times = torch.linspace(0.0, 1.0, steps + 1, dtype=start.dtype, device=start.device)
         settings: dict = {"method": self.method}
         if self.method in ADAPTIVE:  # a step ends where the sample ends; interpolation would lose the order
-            limits = {"norm": _largest, "step_t": times, "max_num_steps": LONGEST}
+            # in the largest change no lane hides behind the others
+            limits = {"norm": lambda x: x.abs().max(), "step_t": times, "max_num_steps": LONGEST}
             settings |= {"rtol": self.rtol, "atol": self.atol, "options": limits}
         try:
-            return self._solve(field, start, times, settings, p)
+            if self.gradient == "backprop" or not torch.is_grad_enabled():
+                return odeint(field, start, times, **settings)[-1]  # type: ignore[index]
+            rows = [row for view in p.values() for row in vars(view).values() if row.requires_grad]
+            wanted = (*rows, *extra_parameters(system))
+            return odeint_adjoint(field, start, times, adjoint_params=wanted, **settings)[-1]  # type: ignore[index]
         except AssertionError as error:  # torchdiffeq's way to say that its steps shrink without end
             raise InputError(
                 f"{self.method} needs more than {LONGEST} steps for one sample ({error}); use rk4, or smooth friction "
                 f"over a larger width than {self.width:g} rad/s."
             ) from None
-
-    def _solve(self, field: HeldField, start: Tensor, times: Tensor, settings: dict, p: Views) -> Tensor:
-        """State at the last of the times, by backprop or the adjoint."""
-        system = field.system
-        if self.gradient == "backprop" or not torch.is_grad_enabled():
-            return odeint(field, start, times, **settings)[-1]  # type: ignore[index]
-        rows = [row for view in p.values() for row in vars(view).values() if row.requires_grad]
-        wanted = (*rows, *extra_parameters(system))
-        return odeint_adjoint(field, start, times, adjoint_params=wanted, **settings)[-1]  # type: ignore[index]
 
     @torch.no_grad()
     def near_rest(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> Tensor:
@@ -227,8 +219,3 @@ def memory_rate(system: System, batch: Batch, theta: Tensor) -> float:
 
 def _whole(steps: float) -> int:
     return min(math.ceil(steps), MAX_SUBSTEPS) if math.isfinite(steps) else MAX_SUBSTEPS
-
-
-def _largest(x: Tensor) -> Tensor:
-    """Norm in which an adaptive method controls its error: no lane hides behind the others."""
-    return x.abs().max()

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.errors import InputError
-
 TOLERANCE = 2.0  # points of fit
 
 
@@ -19,14 +17,14 @@ class CrossValidation:
     Attributes:
         fits: (n_sets, n_records, n_signals); -inf where the simulation diverged.
         set_names, record_names, signal_names: What the axes stand for.
-        own_record: (n_sets,) int; the record that a set was estimated from, -1 for none.
+        own_record: (n_sets,) the record that a set was estimated from, -1 for none.
     """
 
     fits: np.ndarray
     set_names: tuple[str, ...]
     record_names: tuple[str, ...]
     signal_names: tuple[str, ...]
-    own_record: np.ndarray
+    own_record: Sequence[int]
 
     def matrix(self, signal: str | None = None) -> np.ndarray:
         """Fits of one signal, or averaged over the signals, (n_sets, n_records)."""
@@ -36,60 +34,6 @@ class CrossValidation:
             total = np.where(known, self.fits, 0.0).sum(axis=2)
             return np.where(known.any(axis=2), total / np.maximum(known.sum(axis=2), 1), np.nan)
         return self.fits[:, :, self.signal_names.index(signal)]
-
-    def summary(self) -> str:
-        """The matrix, averaged over the signals, with mean and std over the records."""
-        matrix = self.matrix()
-        width = max(map(len, self.set_names))
-        lines = [f"fit % of set (row) on record (column), mean of {', '.join(self.signal_names)}"]
-        lines += [
-            f"{'':{width}}  " + " ".join(f"{name[-7:]:>7}" for name in self.record_names) + "    mean    std"
-        ]
-        for name, row in zip(self.set_names, matrix, strict=True):
-            finite = row if np.all(np.isfinite(row)) else np.full(1, np.nan)
-            values = " ".join(f"{fit:7.2f}" for fit in row)
-            lines.append(f"{name:{width}}  {values} {finite.mean():7.2f} {_std(finite):6.2f}")
-        return "\n".join(lines)
-
-
-def cross_validation(
-    fits: np.ndarray,
-    *,
-    set_names: Sequence[str] = (),
-    record_names: Sequence[str] = (),
-    signal_names: Sequence[str] = (),
-    own_record: Sequence[int] | None = None,
-) -> CrossValidation:
-    """Wraps fits that are there already.
-
-    Args:
-        fits: (n_sets, n_records, n_signals) in %.
-        set_names: Names of the sets; numbers from 1 where absent, as for the next two.
-        record_names: Names of the records.
-        signal_names: Names of the outputs.
-        own_record: Record of each set; by default set i belongs to record i where there are as many.
-
-    Raises:
-        InputError: Names or owners do not fit the array.
-    """
-    fits = np.asarray(fits, float)
-    if fits.ndim != 3:
-        raise InputError(f"cross-validation: fits have {fits.ndim} axes; give (n_sets, n_records, n_signals)")
-    named = []
-    for size, names in zip(fits.shape, (set_names, record_names, signal_names), strict=True):
-        named.append(tuple(names) or tuple(str(k + 1) for k in range(size)))
-        if len(named[-1]) != size:
-            raise InputError(f"cross-validation: {len(named[-1])} names for an axis of {size}; give one each")
-    square = fits.shape[0] == fits.shape[1]
-    default = np.arange(fits.shape[0]) if square else np.full(fits.shape[0], -1)
-    owner = default if own_record is None else np.asarray(own_record, int)
-    if owner.shape != fits.shape[:1] or np.any(owner >= fits.shape[1]):
-        raise InputError("cross-validation: own_record must name one record, or -1, for each set; correct it")
-    return CrossValidation(fits, *named, own_record=owner)
-
-
-def _std(fits: np.ndarray) -> float:
-    return float(fits.std(ddof=1)) if fits.size > 1 else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +82,17 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE) -> Selectio
     mean = np.where(diverged, -np.inf, known.mean(axis=1).filled(-np.inf))
     std = known.std(axis=1, ddof=1).filled(np.nan)
     usable = mean > 0
-    if not np.any(usable):
-        return _least_bad(matrix, fits, mean, std)
+    if not np.any(
+        usable
+    ):  # the one that diverges on the fewest records, then of the best mean fit on the others
+        index = int(np.lexsort((-known.mean(axis=1).filled(-np.inf), np.isneginf(fits).sum(axis=1)))[0])
+        name = matrix.set_names[index]
+        reason = (
+            f"no parameter set simulates the records better than their mean, and {name} is the least bad; check the "
+            "model"
+        )
+        percent = np.full(len(mean), np.inf)
+        return Selection(index, name, index, name, mean, std, percent, usable, reason)
     percent = np.where(usable, 100 * np.nan_to_num(std) / np.where(usable, mean, 1.0), np.inf)
 
     candidate = usable & (mean >= mean[usable].max() - tolerance)
@@ -151,15 +104,3 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE) -> Selectio
         f"sets within {tolerance:g} points of the best mean fit; its own is {mean[index]:.2f} %"
     )
     return Selection(index, name, paper, matrix.set_names[paper], mean, std, percent, candidate, reason)
-
-
-def _least_bad(matrix: CrossValidation, fits: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Selection:
-    """The set that diverges on the fewest records, then of the best mean fit on the others."""
-    finite = np.ma.masked_invalid(fits)
-    rest = finite.mean(axis=1).filled(-np.inf)
-    index = int(np.lexsort((-rest, np.isneginf(fits).sum(axis=1)))[0])
-    name = matrix.set_names[index]
-    fault = "no parameter set simulates the records better than their mean"
-    reason = f"{fault}, and {name} is the least bad; check the model"
-    none = np.zeros(len(mean), dtype=bool)
-    return Selection(index, name, index, name, mean, std, np.full(len(mean), np.inf), none, reason)

@@ -32,7 +32,8 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     count, share = least_step(y)
     constant |= (share < NOW_AND_THEN) & (spread <= count * y.shape[-1] ** 0.5)
     diverged = ~np.all(np.isfinite(simulated), axis=-1)
-    error = np.linalg.norm(np.where(np.isfinite(simulated), simulated, 0.0) - y, axis=-1)
+    with np.errstate(over="ignore"):  # on its way to infinity
+        error = np.linalg.norm(np.where(np.isfinite(simulated), simulated, 0.0) - y, axis=-1)
     ratio = np.where(diverged, np.inf, error / np.where(constant, 1.0, spread))
     return np.where(constant, np.nan, ratio)
 
@@ -49,7 +50,8 @@ def rmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     """
     error = np.asarray(simulated, float) - np.asarray(measured, float)
     finite = np.isfinite(error).all(axis=-1)
-    return np.where(finite, np.sqrt(np.mean(np.square(np.nan_to_num(error)), axis=-1)), np.inf)
+    with np.errstate(over="ignore"):
+        return np.where(finite, np.sqrt(np.mean(np.square(np.nan_to_num(error)), axis=-1)), np.inf)
 
 
 def known_mean(values: Iterable[float]) -> float:

@@ -129,7 +129,11 @@ def identifiability(
     if np.any(size == 0):
         zero = names[int(np.flatnonzero(size == 0)[0])]
         raise InputError(f"identifiability: {zero} is zero, so relative changes mean nothing; give its scale")
-    _, singular, rows = np.linalg.svd(_root(jacobian) * size / inflation, full_matrices=True)
+    records = [jacobian] if isinstance(jacobian, np.ndarray) else jacobian
+    # a simulation that has diverged holds no information
+    finite = (np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records)
+    root = np.linalg.qr(np.concatenate([np.linalg.qr(j)[1] for j in finite]))[1]
+    _, singular, rows = np.linalg.svd(root * size / inflation, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(values) - len(singular))])
     vectors = rows.T
     with np.errstate(divide="ignore"):
@@ -141,7 +145,7 @@ def identifiability(
     basis = np.column_stack([moves[:, : hopeless.sum()], *(normalise(v, _SMALL_ENTRY) for v in weak.T)])
 
     combinations = identifiable_combinations(basis, size, names, references)
-    seen = vectors[:, ~hopeless] / singular[~hopeless]
+    leading = vectors[:, ~hopeless] / singular[~hopeless]
     gradients = [c.gradient(size) / c.evaluate(size) for c in combinations]
     data = (vectors[:, ~hopeless] * singular[~hopeless] ** 2) @ vectors[:, ~hopeless].T
     prior = prior_matrix(prior_precision, len(values)) * np.outer(size, size)
@@ -149,8 +153,15 @@ def identifiability(
 
     directions = []
     for move, vector in zip(moves.T, basis.T, strict=True):
-        # Beyond hope the records leave nothing; `data` holds only what they do see.
-        alone, with_prior = (_along(move, matrix) for matrix in (data, data + prior))
+        # Beyond hope the records leave nothing; `data` holds only what they do see. Errors are of the parameter that
+        # moves most, when only this direction is free.
+        seen = [float(move @ information @ move) for information in (data, data + prior)]
+        floors = [
+            1e-13 * float(np.trace(information) * (move @ move)) for information in (data, data + prior)
+        ]
+        alone, with_prior = (
+            s**-0.5 if s > floor else float("inf") for s, floor in zip(seen, floors, strict=True)
+        )
         text = _words(vector, names, alone, combinations)
         if with_prior < 0.8 * alone:
             text += f"; the prior holds it to ±{_REACH * 100 * with_prior:.2g} % (95 %)"
@@ -164,16 +175,8 @@ def identifiability(
         claimable=relative_std < VAGUE,
         prior_share=np.minimum(np.where(np.isinf(relative_std), 0, relative_std) ** 2 * np.diag(prior), 1),
         combinations=combinations,
-        combination_std=np.array([np.linalg.norm(g @ seen) for g in gradients]),
+        combination_std=np.array([np.linalg.norm(g @ leading) for g in gradients]),
     )
-
-
-def _root(jacobian: Arrays) -> np.ndarray:
-    """R (n, p) with ``RᵀR`` the information."""
-    records = [jacobian] if isinstance(jacobian, np.ndarray) else jacobian
-    # a simulation that has diverged holds no information
-    finite = (np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records)
-    return np.linalg.qr(np.concatenate([np.linalg.qr(j)[1] for j in finite]))[1]
 
 
 def _marginal(information: np.ndarray) -> np.ndarray:
@@ -184,13 +187,6 @@ def _marginal(information: np.ndarray) -> np.ndarray:
     null = squares <= 1e-13 * len(squares) * squares[-1]
     std = np.linalg.norm(vectors[:, ~null] / np.sqrt(squares[~null]), axis=1) / unit
     return np.where(np.linalg.norm(vectors[:, null], axis=1) > 1e-3, np.inf, std)
-
-
-def _along(vector: np.ndarray, information: np.ndarray) -> float:
-    """Standard error of the parameter that moves most (entry 1) when only this direction is free."""
-    seen = float(vector @ information @ vector)
-    floor = 1e-13 * float(np.trace(information)) * float(vector @ vector)
-    return seen**-0.5 if seen > floor else float("inf")
 
 
 def _words(
@@ -410,14 +406,9 @@ def normalise(vector: np.ndarray, tolerance: float = _EXACT) -> np.ndarray:
     return np.where(np.abs(np.abs(vector) - 1) < tolerance, np.sign(vector), vector)
 
 
-def _pivots(null: np.ndarray) -> np.ndarray:
-    """Rows (k,) that determine a vector of the space."""
-    return np.asarray(qr(null.T, pivoting=True)[-1])[: null.shape[1]]
-
-
 def _sign_vectors(null: np.ndarray) -> list[np.ndarray]:
     """All vectors of the space with entries -1, 0 and 1: each is known by its entries in the pivot rows."""
-    rows = _pivots(null)
+    rows = np.asarray(qr(null.T, pivoting=True)[-1])[: null.shape[1]]
     to_vector = null @ np.linalg.inv(null[rows])
     found = []
     for signs in product((0, 1, -1), repeat=len(rows)):

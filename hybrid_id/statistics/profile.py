@@ -63,76 +63,50 @@ def profile_likelihood(
     """
     threshold = minimum + noise_variance * float(ndtri(0.5 + level / 2)) ** 2
     points = {float(estimate[index]): minimum}
-    ends: list[float] = []
-    closed: list[bool] = []
-    for sign, bound in ((-1.0, bounds[0]), (1.0, bounds[1])):
-        end, reached = _end(
-            cost_at,
-            np.asarray(estimate, float),
-            index,
-            minimum,
-            threshold,
-            sign * step,
-            bound,
-            max_steps,
-            points,
-        )
-        ends.append(end)
-        closed.append(reached)
-    values = np.array(sorted(points))
-    costs = np.array([points[v] for v in values])
-    message = "interval closed on both sides"
-    if not all(closed):
-        side = "both sides" if not any(closed) else "below" if closed[1] else "above"
-        message = f"interval open {side}: these records do not identify the parameter there"
-    if costs.min() < minimum - 0.01 * (threshold - minimum):
-        message += f"; a better optimum was met at {values[costs.argmin()]:.6g}, so fit again from there"
-    return Profile(values, costs, ends[0], ends[1], (closed[0], closed[1]), threshold, message)
-
-
-def _end(
-    cost_at: CostAt,
-    start: np.ndarray,
-    index: int,
-    minimum: float,
-    threshold: float,
-    step: float,
-    bound: float,
-    max_steps: int,
-    points: dict[float, float],
-) -> tuple[float, bool]:
-    """End of the interval on one side, and whether the threshold was reached there."""
 
     def rise(cost: float) -> float:
         # The root of the rise is nearly linear in the value, which suits the false position below.
         return float(np.sqrt(max(cost - minimum, 0.0)) - np.sqrt(threshold - minimum))
 
-    inner, inner_rise = float(start[index]), rise(minimum)
-    for _ in range(max_steps):
-        outer = float(np.clip(inner + step, min(bound, inner), max(bound, inner)))
-        cost, parameters = cost_at(outer, start)
-        points[outer] = cost
-        if not np.isfinite(cost):
-            step /= 4  # the simulation broke: closer
-            continue
-        if cost >= threshold:
-            break
-        if outer == bound:
-            return bound, False
-        inner, inner_rise, start, step = outer, rise(cost), parameters, 2 * step
-    else:
-        return float(np.copysign(np.inf, step)), False
-
-    outer_rise = rise(cost)
-    for _ in range(20):
-        share = np.clip(inner_rise / (inner_rise - outer_rise), 0.1, 0.9)
-        middle = inner + share * (outer - inner)
-        cost, parameters = cost_at(middle, start)
-        points[middle] = cost
-        if abs(rise(cost)) < 1e-3 * np.sqrt(threshold - minimum):
-            return middle, True
-        if cost < threshold:
-            inner, inner_rise, start = middle, rise(cost), parameters
+    def end(step: float, bound: float) -> tuple[float, bool]:
+        """End of the interval on one side, and whether the threshold was reached there."""
+        start = np.asarray(estimate, float)
+        inner, inner_rise = float(start[index]), rise(minimum)
+        for _ in range(max_steps):
+            outer = float(np.clip(inner + step, min(bound, inner), max(bound, inner)))
+            cost, parameters = cost_at(outer, start)
+            points[outer] = cost
+            if not np.isfinite(cost):
+                step /= 4  # the simulation broke: closer
+                continue
+            if cost >= threshold:
+                break
+            if outer == bound:
+                return bound, False
+            inner, inner_rise, start, step = outer, rise(cost), parameters, 2 * step
         else:
-            outer, outer_rise = middle, rise(cost)
-    return inner + (outer - inner) / 2, True
+            return float(np.copysign(np.inf, step)), False
+        outer_rise = rise(cost)
+        for _ in range(20):
+            share = np.clip(inner_rise / (inner_rise - outer_rise), 0.1, 0.9)
+            middle = inner + share * (outer - inner)
+            cost, parameters = cost_at(middle, start)
+            points[middle] = cost
+            if abs(rise(cost)) < 1e-3 * np.sqrt(threshold - minimum):
+                return middle, True
+            if cost < threshold:
+                inner, inner_rise, start = middle, rise(cost), parameters
+            else:
+                outer, outer_rise = middle, rise(cost)
+        return inner + (outer - inner) / 2, True
+
+    (lower, below), (upper, above) = end(-step, bounds[0]), end(step, bounds[1])
+    values = np.array(sorted(points))
+    costs = np.array([points[v] for v in values])
+    message = "interval closed on both sides"
+    if not (below and above):
+        side = "below" if above else "above" if below else "both sides"
+        message = f"interval open {side}: these records do not identify the parameter there"
+    if costs.min() < minimum - 0.01 * (threshold - minimum):
+        message += f"; a better optimum was met at {values[costs.argmin()]:.6g}, so fit again from there"
+    return Profile(values, costs, lower, upper, (below, above), threshold, message)

@@ -58,7 +58,7 @@ def reliability_grades(
         names: Parameters (p).
         estimate: Their values (p,).
         std_errors: Way -> standard errors (p,) of *the same estimate*. "plain" is the one that may be too small
-            without harm; the others, say "robust", "bootstrap", "between records" (`variation.mean_interval`), are
+            without harm; the others, say "robust", "bootstrap", "between records" (`variation.error_of_mean`), are
             the ones to agree. Values that are nan are ignored.
         not_identifiable: Names of parameters whose own interval may not be claimed (`identifiability`).
         at_bound: Names of parameters at a bound.

@@ -94,9 +94,7 @@ def robust_covariance(
     records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
     variance = noise_variance_of(records)
     # principal axes of the information: along a null direction the scores are zero, and must stay zero
-    scale = diagonal_scale(hessian)
-    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
-    kept = values > _NUMERICALLY_NULL * len(values)
+    scale, values, vectors, kept = scaled_eigen(hessian)
     root = np.sqrt(values[kept])
     axes, back = vectors[:, kept] / scale[:, None] / root, vectors[:, kept] * scale[:, None] * root
     rotated, lag = long_run_covariance([np.einsum("tyi,ty->ti", j @ axes, r) for j, r in records])
@@ -214,13 +212,6 @@ def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
     return total, chunk * (lag + max(len(f) for f in filters) - 1)
 
 
-def lag_one_correlation(series: Sequence[np.ndarray]) -> np.ndarray:
-    """First autocorrelation of each column, pooled over the records [(T, p)] -> (p,)."""
-    products = np.sum([np.sum(s[1:] * s[:-1], axis=0) for s in series], axis=0)
-    squares = np.sum([np.sum(s[:-1] ** 2, axis=0) for s in series], axis=0)
-    return products / np.where(squares > 0, squares, 1.0)
-
-
 def _lagged_products(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
     """``Σ_t s_t s_{t-lag}ᵀ`` summed over the records (p, p)."""
     return np.sum([s[min(lag, len(s)) :].T @ s[: max(len(s) - lag, 0)] for s in series], axis=0)
@@ -265,29 +256,22 @@ def jackknife_covariance(
         prior_precision: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         blocks: number of blocks over all records; no block spans two records.
     """
-    records = as_records(jacobian, residual)
-    samples = sum(len(r) for _, r in records)
-    n_parameters, variance = records[0][0].shape[-1], noise_variance_of(records)
-    pieces = []
+    records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
+    samples, pieces = sum(len(r) for _, r in records), []
     for j, r in records:
         share = max(1, round(blocks * len(r) / samples))
         pieces += zip(np.array_split(j, share), np.array_split(r, share), strict=True)
     gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
     hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])
-    prior = prior_matrix(prior_precision, n_parameters)
-    information = hessians.sum(0) + prior
-    inverse, determined = scaled_inverse(information)
     # axes in which the information is the identity: directions that the records do not tell are left out
-    scale = diagonal_scale(information)
-    values, vectors = np.linalg.eigh(inverse * np.outer(scale, scale))
-    kept = values > 1e-12 * values.max()
-    axes = vectors[:, kept] * np.sqrt(values[kept]) / scale[:, None]
+    scale, values, vectors, kept = scaled_eigen(hessian + prior)
+    axes = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
     rest = np.eye(axes.shape[1]) - np.einsum("ik,bij,jl->bkl", axes, hessians, axes, optimize=True)
     floor = 1e-3 * np.eye(axes.shape[1])  # a block that alone identifies a direction leaves nothing of it
     steps = np.linalg.solve(rest + floor, (gradients @ axes)[..., None])[..., 0]
     drawn = axes.T @ prior @ axes  # the prior's mean counts as one more measurement
     matrix = axes @ ((len(pieces) - 1) / len(pieces) * steps.T @ steps + drawn) @ axes.T
-    longest = max(len(r) for _, r in pieces)
+    longest, variance = max(len(r) for _, r in pieces), noise_variance_of(records)
     return Covariance(matrix, _std_error(matrix, determined), variance, "jackknife", longest, inverse)
 
 
@@ -312,121 +296,64 @@ def autocorrelation_robust(
     return pair[int(np.argmax(sizes))]
 
 
-@dataclass(frozen=True, eq=False)
-class Bootstrap:
-    """Replicates of an estimate.
+def block_bootstrap(
+    jacobian: Arrays,
+    residual: Arrays,
+    *,
+    block: int | Literal["auto", "record"] = "auto",
+    prior_precision: np.ndarray | None = None,
+    replicates: int = 1000,
+    seed: int = 0,
+) -> np.ndarray:
+    """Standard errors (p,) from blocks drawn with replacement, each draw moved by one Gauss-Newton step.
 
-    Attributes:
-        samples: (n_replicates, p).
-        std_error: (p,), from the middle 68 % of the replicates, so that single wild ones do not count; inf for
-            parameters that the data do not determine.
-        lower, upper: Percentile interval (p,) at `level`.
-        level: Confidence.
-        n_blocks: Number of blocks that were drawn from.
-    """
-
-    samples: np.ndarray
-    std_error: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    level: float
-    n_blocks: int
-
-
-@dataclass(frozen=True, eq=False)
-class BlockContributions:
-    """What each block adds to the normal equations at the estimate.
-
-    Attributes:
-        gradients: ``Σ Jᵀ r`` of each block (n_blocks, p).
-        hessians: ``Σ Jᵀ J`` of each block (n_blocks, p, p).
-        block_length: Samples in a block; 0 for whole records.
-    """
-
-    gradients: np.ndarray
-    hessians: np.ndarray
-    block_length: int
-
-
-def block_contributions(
-    jacobian: Arrays, residual: Arrays, *, block: int | Literal["auto", "record"] = "auto"
-) -> BlockContributions:
-    """Cuts records into blocks that do not overlap, of nearly equal length.
+    ``θ* = θ̂ + (Σ m_b H_b + P)⁻¹ (Σ m_b g_b + P (θ_0* - θ_0))`` with m_b the number of times that block b was drawn and
+    θ_0* drawn from the prior. Milliseconds instead of a fit for each replicate, and right as long as the model
+    is nearly linear over the spread of the replicates. An error is half of the middle 68 % of the replicates, so that
+    single wild ones do not count; inf for a parameter that the data do not determine.
 
     Args:
         jacobian: Weighted Jacobian of one record or of several (convention: `uncertainty`).
         residual: Weighted residuals alike.
-        block: Samples in a block; "record" for one block a record; "auto" for Carlstein's length (Ann. Stat. 14,
-            1986) ``(√6 ρ / (1 - ρ²))^(2/3) T^(1/3)`` with the largest first autocorrelation ρ of the scores.
+        block: Samples in a block, blocks of a record being of nearly equal length and without overlap; "record" for
+            one block a record; "auto" for Carlstein's length (Ann. Stat. 14, 1986)
+            ``(√6 ρ / (1 - ρ²))^(2/3) T^(1/3)`` with the largest first autocorrelation ρ of the scores.
+        prior_precision: P, (p, p) or its diagonal (p,), in the unit of the weighted residuals.
+        replicates: Number of draws.
+        seed: Seed of the draws.
     """
     records = as_records(jacobian, residual)
-    longest = max(len(r) for _, r in records)
+    scores = [np.einsum("tyi,ty->ti", j, r) for j, r in records]
     if block == "auto":
-        scores = [np.einsum("tyi,ty->ti", j, r) for j, r in records]
-        rho = float(np.clip(np.max(lag_one_correlation(scores)), 0.0, 0.995))
+        products = np.sum([np.sum(s[1:] * s[:-1], axis=0) for s in scores], axis=0)
+        squares = np.sum([np.sum(s[:-1] ** 2, axis=0) for s in scores], axis=0)
+        rho = float(np.clip(np.max(products / np.where(squares > 0, squares, 1.0)), 0.0, 0.995))
+        longest = max(len(r) for _, r in records)
         carlstein = (np.sqrt(6) * rho / (1 - rho**2)) ** (2 / 3) * longest ** (1 / 3)
         plenty = sum(len(r) for _, r in records) / _MOST_BLOCKS
         block = max(int(min(max(carlstein, plenty), longest / 8)), 1)
-    gradients, hessians = [], []
-    for j, r in records:
+    block_gradients, block_hessians = [], []
+    for (j, r), score in zip(records, scores, strict=True):
         n_blocks = 1 if block == "record" else max(len(r) // block, 1)
         starts = np.linspace(0, len(r), n_blocks, endpoint=False).astype(int)
-        gradients.append(np.add.reduceat(np.einsum("tyi,ty->ti", j, r), starts))
-        hessians.append(np.add.reduceat(np.einsum("tyi,tyj->tij", j, j), starts))
-    gradients, hessians = np.concatenate(gradients), np.concatenate(hessians)
-    return BlockContributions(gradients, hessians, 0 if block == "record" else block)
-
-
-def one_step_bootstrap(
-    estimate: np.ndarray,
-    blocks: BlockContributions,
-    *,
-    prior_precision: np.ndarray | None = None,
-    prior_mean: np.ndarray | None = None,
-    replicates: int = 1000,
-    level: float = 0.95,
-    seed: int = 0,
-) -> Bootstrap:
-    """Blocks drawn with replacement, each replicate moved by one Gauss-Newton step from the estimate.
-
-    ``θ* = θ̂ + (Σ m_b H_b + P)⁻¹ (Σ m_b g_b + P (θ_0* - θ̂))`` with m_b the number of times that block b was drawn and
-    θ_0* drawn from the prior. Milliseconds instead of a fit for each replicate, and right as long as the model
-    is nearly linear over the spread of the replicates.
-
-    Args:
-        estimate: θ̂ (p,).
-        blocks: From `block_contributions`.
-        prior_precision: P, (p, p) or its diagonal (p,), in the unit of the weighted residuals.
-        prior_mean: θ_0 (p,); the estimate where absent.
-        replicates: Number of draws.
-        level: Confidence of the percentile interval.
-        seed: Seed of the draws.
-    """
-    estimate = np.asarray(estimate, float)
-    n_blocks, n_parameters = blocks.gradients.shape
+        block_gradients.append(np.add.reduceat(score, starts))
+        block_hessians.append(np.add.reduceat(np.einsum("tyi,tyj->tij", j, j), starts))
+    gradients, hessians = np.concatenate(block_gradients), np.concatenate(block_hessians)
+    n_blocks, n_parameters = gradients.shape
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=replicates).astype(float)
     prior = prior_matrix(prior_precision, n_parameters)
-    centre = estimate if prior_mean is None else np.asarray(prior_mean, float)
     values, vectors = np.linalg.eigh(prior)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # P (θ_0* - θ_0) has covariance P
-    pull = (centre - estimate) @ prior + rng.standard_normal((replicates, n_parameters)) @ root.T
+    pull = rng.standard_normal((replicates, n_parameters)) @ root.T
 
-    information = blocks.hessians.sum(axis=0) + prior
-    scale = diagonal_scale(information)
-    directions = np.linalg.eigh(information / np.outer(scale, scale))
-    kept = directions.eigenvectors[:, directions.eigenvalues > 1e-10] / scale[:, None]
-    gradient = (counts @ blocks.gradients + pull) @ kept
-    hessian = np.einsum("bij,ik,jl->bkl", blocks.hessians, kept, kept, optimize=True)
-    hessian = np.tensordot(counts, hessian, axes=1) + kept.T @ prior @ kept
+    scale, values, vectors, _ = scaled_eigen(hessians.sum(axis=0) + prior)
+    axes = vectors[:, values > 1e-10] / scale[:, None]
+    gradient = (counts @ gradients + pull) @ axes
+    hessian = np.einsum("bij,ik,jl->bkl", hessians, axes, axes, optimize=True)
+    hessian = np.tensordot(counts, hessian, axes=1) + axes.T @ prior @ axes
     # A draw may miss every block that identifies one direction; the smallest ridge keeps it finite.
-    step = np.linalg.solve(hessian + 1e-9 * np.eye(kept.shape[1]), gradient[..., None])[..., 0]
-    _, determined = scaled_inverse(information)
-    return _summarise(estimate + step @ kept.T, level, n_blocks, determined)
-
-
-def _summarise(samples: np.ndarray, level: float, n_blocks: int, determined: np.ndarray) -> Bootstrap:
-    quantiles = [0.5 - level / 2, 0.15866, 0.84134, 0.5 + level / 2]
-    lower, minus, plus, upper = np.quantile(samples, quantiles, axis=0)
-    std_error = np.where(determined, (plus - minus) / 2, np.inf)
-    return Bootstrap(samples, std_error, lower, upper, level, n_blocks)
+    step = np.linalg.solve(hessian + 1e-9 * np.eye(axes.shape[1]), gradient[..., None])[..., 0]
+    _, determined = scaled_inverse(hessians.sum(axis=0) + prior)
+    minus, plus = np.quantile(step @ axes.T, [0.15866, 0.84134], axis=0)
+    return np.where(determined, (plus - minus) / 2, np.inf)

@@ -36,17 +36,6 @@ class Variation:
     limit: float
     n_sets: int
 
-    def summary(self) -> str:
-        """One line per parameter: mean, std / mean in %, verdict."""
-        width = max(map(len, self.names))
-        lines = [f"{'':{width}}  {'mean':>11}  std/mean %   over {self.n_sets} experiments"]
-        for name, mean, percent, held, fine in zip(
-            self.names, self.mean, self.percent, self.held, self.acceptable, strict=True
-        ):
-            verdict = "held, no claim" if held else "" if fine else f"above {self.limit:g} %"
-            lines.append(f"{name:{width}}  {mean:11.4g}  {percent:10.2f}   {verdict}".rstrip())
-        return "\n".join(lines)
-
 
 def variation(
     parameter_sets: np.ndarray,
@@ -76,40 +65,17 @@ def variation(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class MeanInterval:
-    """Mean over experiments with its confidence interval.
-
-    Attributes:
-        mean, std_error, lower, upper: (p,); nan where fewer than two experiments are left (the mean: fewer than one).
-        level: Confidence.
-        n_sets: Number of experiments.
-    """
-
-    mean: np.ndarray
-    std_error: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    level: float
-    n_sets: int
-
-
-def mean_interval(parameter_sets: np.ndarray, *, level: float = 0.95) -> MeanInterval:
-    """Student's interval of the mean over experiments (n, p), from the scatter between them alone.
+def error_of_mean(parameter_sets: np.ndarray) -> np.ndarray:
+    """Standard error (p,) of the mean over experiments (n, p), from the scatter between them alone.
 
     It asks nothing of the residuals; autocorrelation and small model errors that differ between experiments are
-    in it. What all experiments share (a wrong gear ratio, say) is not.
+    in it. What all experiments share (a wrong gear ratio, say) is not. NaN where fewer than two experiments are left.
     """
     sets = np.asarray(parameter_sets, float)
     sets = sets[np.all(np.isfinite(sets), axis=1)]
-    n_sets = len(sets)
-    if n_sets < 2:
-        nothing = np.full(sets.shape[1], np.nan)
-        return MeanInterval(sets[0] if n_sets else nothing, nothing, nothing, nothing, level, n_sets)
-    mean = sets.mean(axis=0)
-    std_error = sets.std(axis=0, ddof=1) / np.sqrt(n_sets)
-    reach = stdtrit(n_sets - 1, 0.5 + level / 2) * std_error
-    return MeanInterval(mean, std_error, mean - reach, mean + reach, level, n_sets)
+    if len(sets) < 2:
+        return np.full(sets.shape[1], np.nan)
+    return sets.std(axis=0, ddof=1) / np.sqrt(len(sets))
 
 
 def prior_variances(

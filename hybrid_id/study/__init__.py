@@ -13,7 +13,7 @@ from hybrid_id.study.checks import (
     check_start_values,
     profiles,
 )
-from hybrid_id.study.replays import Comparison, Replay, compare, replay
+from hybrid_id.study.replay import Comparison, Replay, compare, replay
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import analyse_fits, identify
 

@@ -30,7 +30,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.hybrid import correlated_errors, network_roles
 from hybrid_id.study.many import each_kept
-from hybrid_id.study.replays import batch_of, weighted_errors
+from hybrid_id.study.replay import batch_of, weighted_errors
 from hybrid_id.study.training import scalars
 from hybrid_id.systems.builders import black_box
 from hybrid_id.systems.by_joint import numbered

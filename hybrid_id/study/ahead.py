@@ -44,19 +44,15 @@ def compile_ahead() -> int:
     with kept_ahead():
         forget()
         for system, friction in product(systems, ("dry", "smooth")):
-            _compile(system, Engine(friction))
+            rest = np.zeros(SAMPLES)
+            record = Record(
+                name="rest",
+                time=0.01 * np.arange(SAMPLES),
+                inputs=dict.fromkeys(system.input_names, rest),
+                outputs={f"q_m{joint.number}": rest for joint in system.joints},
+            )
+            batch = make_batch(system, [record], noise_std=dict.fromkeys(record.outputs, 1e-3))
+            engine, theta = compiled_for(system, Engine(friction)), system.theta().detach()[:, None]
+            simulate(system, engine, batch, theta)
+            evaluate(system, engine, batch, batch.x, theta, system.estimated, loss=Loss(), chunk=1)
     return len(systems)
-
-
-def _compile(system: System, engine: Engine) -> None:
-    rest = np.zeros(SAMPLES)
-    record = Record(
-        name="rest",
-        time=0.01 * np.arange(SAMPLES),
-        inputs=dict.fromkeys(system.input_names, rest),
-        outputs={f"q_m{joint.number}": rest for joint in system.joints},
-    )
-    batch = make_batch(system, [record], noise_std=dict.fromkeys(record.outputs, 1e-3))
-    engine, theta = compiled_for(system, engine), system.theta().detach()[:, None]
-    simulate(system, engine, batch, theta)
-    evaluate(system, engine, batch, batch.x, theta, system.estimated, loss=Loss(), chunk=1)

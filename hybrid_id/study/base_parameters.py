@@ -89,7 +89,18 @@ def check_base_parameters(dataset: Dataset, system: System) -> BaseParameterChec
     w, columns = regressors(tree, base, motions)
     size = TORQUE_ERROR * np.sqrt(np.mean((w @ phi) ** 2, axis=0))
     size = np.maximum(size, 1e-6 * size.max())
-    std, condition = _predicted((columns / size[:, None]).reshape(-1, columns.shape[2]))
+    weighted = (columns / size[:, None]).reshape(-1, columns.shape[2])
+    length = np.linalg.norm(weighted, axis=0)  # columns of length 1, errors of 1
+    moving = length > 0.0
+    std = np.full(len(length), np.inf)
+    _, singular, directions = np.linalg.svd(weighted[:, moving] / length[moving], full_matrices=False)
+    seen = singular > NULL * singular[0]
+    with np.errstate(divide="ignore"):
+        variance = (directions[seen] ** 2 / singular[seen, None] ** 2).sum(0)
+    hidden = (directions[~seen] ** 2).sum(0) > NULL
+    std[moving] = np.where(hidden, np.inf, np.sqrt(variance) / length[moving])
+    whole = bool(moving.all()) and bool(seen.all())
+    condition = float(singular[0] / singular[-1]) if whole else np.inf
     return BaseParameterCheck(base, values, std[: len(values)], condition)
 
 
@@ -126,25 +137,5 @@ def regressors(
     """
     w = np.concatenate([whole_regressor(tree, *motion) for motion in motions])
     v = np.concatenate([motion[1] for motion in motions])
-    friction = _at_own_joint(np.sign(v)), _at_own_joint(v)
+    friction = (rows[:, :, None] * np.eye(v.shape[1]) for rows in (np.sign(v), v))  # of each joint alone
     return w, np.concatenate([w[..., list(base.independent)], *friction], axis=2)
-
-
-def _at_own_joint(rows: np.ndarray) -> np.ndarray:
-    """Columns ``(T, n, n)`` of what acts at each joint alone, from ``(T, n)``."""
-    return rows[:, :, None] * np.eye(rows.shape[1])
-
-
-def _predicted(weighted: np.ndarray) -> tuple[np.ndarray, float]:
-    """Standard errors of least squares whose errors are 1, and the condition number with columns of length 1."""
-    length = np.linalg.norm(weighted, axis=0)
-    moving = length > 0.0
-    std = np.full(len(length), np.inf)
-    _, singular, directions = np.linalg.svd(weighted[:, moving] / length[moving], full_matrices=False)
-    seen = singular > NULL * singular[0]
-    with np.errstate(divide="ignore"):
-        variance = (directions[seen] ** 2 / singular[seen, None] ** 2).sum(0)
-    hidden = (directions[~seen] ** 2).sum(0) > NULL
-    std[moving] = np.where(hidden, np.inf, np.sqrt(variance) / length[moving])
-    whole = bool(moving.all()) and bool(seen.all())
-    return std, float(singular[0] / singular[-1]) if whole else np.inf

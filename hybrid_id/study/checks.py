@@ -16,21 +16,19 @@ from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.least_squares import Options, free_parameters
 from hybrid_id.identification.objective import evaluate
 from hybrid_id.identification.result import FitResult, sensitivities
-from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import less_half_a_count, sensor_noise
 from hybrid_id.records.quality import Finding, check_encoders
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.identifiability import Identifiability, identifiability
 from hybrid_id.statistics.profile import Profile, profile_likelihood
 from hybrid_id.statistics.residuals import ResidualTest, residual_test
 from hybrid_id.study.base_parameters import BaseParameterCheck, check_base_parameters
-from hybrid_id.study.replays import batch_of, replay, simulated_over
+from hybrid_id.study.replay import batch_of, replay, run_freely
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
@@ -65,20 +63,15 @@ CONTRADICT = ("unit", "sign", "zero", "columns")
 
 def identifiability_of(result: FitResult, *, inflation: float = 1.0) -> Identifiability:
     """What the records of a fit tell about its parameters, at its estimates and its noise."""
-    scale = max(result.noise_scale, 1e-300)
-    bounds = [result.system.parameter(n).spec for n in result.names]
-    size = np.array(
-        [
-            abs(v) or max((abs(b) for b in (s.lower, s.upper) if np.isfinite(b)), default=0.0) or 1.0
-            for v, s in zip(result.values, bounds, strict=True)
-        ]
-    )
+    noise = max(result.noise_scale, 1e-300)
+    specs = [result.system.parameter(name).spec for name in result.names]
+    ends = [max((abs(b) for b in (s.lower, s.upper) if np.isfinite(b)), default=0.0) for s in specs]
     return identifiability(
         result.values,
         result.names,
-        jacobian=[j / scale for j in result.jacobian],
+        jacobian=[j / noise for j in result.jacobian],
         prior_precision=result.prior_precision,
-        scale=size,
+        scale=np.array([end or 1.0 for end in ends]),
         inflation=inflation,
         references=REFERENCES,
     )
@@ -101,13 +94,11 @@ def check_identifiability(
     options = Options()
     at = evaluate(system, engine, batch, batch.x, theta, free, loss=options.loss, chunk=options.chunk)
     every = torch.arange(batch.rows)
-    jacobian, _ = sensitivities(at, every, every, batch, options)
-    info = [system.table[i] for i in free]
     bounds = make_bounds(system, free)
     return identifiability(
-        np.array([i.spec.value for i in info]),
-        [i.name for i in info],
-        jacobian=jacobian,
+        np.array([system.table[i].spec.value for i in free]),
+        [system.table[i].name for i in free],
+        jacobian=sensitivities(at, every, every, batch, options)[0],
         prior_precision=bounds.prior_precision.numpy(),
         scale=(10.0 * bounds.scale).numpy(),
         references=REFERENCES,
@@ -128,65 +119,59 @@ def check_scales(dataset: Dataset, system: System) -> list[Finding]:
 def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:
     """Doubts of goals and their angles: of units, signs, columns, and the zeros of encoders."""
     measured = {channel.name for channel in dataset.outputs}
+
+    def pairs(name: str, scale: float, goal: str) -> list[tuple[np.ndarray, np.ndarray]]:
+        """An angle over its scale, and a goal, of each record that has the goal."""
+        return [(r.outputs[name] / scale, r.inputs[goal]) for r in dataset if goal in r.inputs]
+
     for joint, ratio in zip(system.joints, system.own_ratios, strict=True):
         goal, sides = f"goal{joint.number}", _sides(joint, ratio)
         name = next((name for name in sides if name in measured), None)
         if name is None or goal not in system.input_names:
             continue
         # of the joint, for one of the side that the loop reads
-        turns = 1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio
-        scale = sides[name] * turns
-        pairs = _pairs(dataset, name, scale, goal)
-        moves = _centred(pairs)
-        own = _alike(moves)
+        scale = sides[name] * (1.0 if joint.drive.input[1].at_joint else 1.0 / joint.gear_ratio)
+        own = pairs(name, scale, goal)
+        moves = _centred(own)
+        alike = _alike(moves)
         if times := _times(moves):
             words = (
                 f"{name} moves {times:.3g} times as far as {goal}, which it follows; correct the unit of either in "
                 "the dataset file (degrees?), or gear_ratio in the model file"
             )
             yield _of_unit(times, words, goal)
-        elif own <= -ALIKE:
+        elif alike <= -ALIKE:
             words = (
                 f"{name} moves against {goal}, which it should follow; give one of them 'scale: -1' under 'columns' in "
                 "the dataset file"
             )
             yield Finding("warning", "sign", words, channel=name)
-        elif own < LITTLE and (other := _followed(dataset, system, name, scale)):
-            words = f"{name} follows {other} and not {goal}; check which columns of the dataset file they are"
-            yield Finding("warning", "columns", words, channel=name)
-        elif own >= ALIKE and (beside := _beside([angle - aim for angle, aim in pairs])):
-            apart = _turn(beside * scale)
+        elif alike < LITTLE:
+            goals = [f"goal{other.number}" for other in system.joints]
+            follows = {other: _alike(_centred(pairs(name, scale, other))) for other in goals}
+            most = max(follows, key=follows.__getitem__)
+            if follows[most] >= ALIKE:
+                words = (
+                    f"{name} follows {most} and not {goal}; check which columns of the dataset file they are"
+                )
+                yield Finding("warning", "columns", words, channel=name)
+        elif alike >= ALIKE:
+            apart = np.concatenate([angle - aim for angle, aim in own])
+            beside = float(np.median(apart))
+            if abs(beside) <= max(BESIDE, STEADY * float(np.median(abs(apart - beside)))):
+                continue  # a loop that gives way may do it
+            turned, joint_turned = (_turn(zero) for zero in (beside * scale, beside))
             words = (
-                f"{name} stays {apart:.5g} rad ({np.degrees(apart):.4g} deg) beside {goal}, which it follows; where "
+                f"{name} stays {turned:.5g} rad ({np.degrees(turned):.4g} deg) beside {goal}, which it follows; where "
                 "its encoder counts from elsewhere, give it that 'zero' under 'columns' in the dataset file, in unit "
                 "and sign of the file's own column"
             )
-            at_joint = abs(_turn(beside)) >= QUARTER
-            yield Finding("warning", "zero" if at_joint else "beside", words, channel=name)
-
-
-def _pairs(dataset: Dataset, name: str, scale: float, goal: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """An angle over its scale, and a goal, of each record that has the goal."""
-    return [(r.outputs[name] / scale, r.inputs[goal]) for r in dataset if goal in r.inputs]
+            code = "zero" if abs(joint_turned) >= QUARTER else "beside"
+            yield Finding("warning", code, words, channel=name)
 
 
 def _centred(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(a - a.mean(), b - b.mean()) for a, b in pairs]
-
-
-def _followed(dataset: Dataset, system: System, name: str, scale: float) -> str:
-    """The goal that an angle follows most; empty where it follows none."""
-    goals = [f"goal{joint.number}" for joint in system.joints]
-    alike = {goal: _alike(_centred(_pairs(dataset, name, scale, goal))) for goal in goals}
-    most = max(alike, key=alike.__getitem__)
-    return most if alike[most] >= ALIKE else ""
-
-
-def _beside(apart: Sequence[np.ndarray]) -> float:
-    """How far [rad] angles stay beside their goals in all records; 0 where a loop that gives way may do it."""
-    every = np.concatenate(apart)
-    middle = float(np.median(every))
-    return middle if abs(middle) > max(BESIDE, STEADY * float(np.median(abs(every - middle)))) else 0.0
 
 
 def _turn(zero: float) -> float:
@@ -265,14 +250,21 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
         InputError: no joint of the model moves.
     """
     names = [record.name for record in dataset.train or dataset.records]
-    still, joints = _still(dataset.select(names), system), len(system.joints)
+    known, noise = dataset.select(names), sensor_noise(dataset.select(names))
+    still, joints = [], len(system.joints)
+    for seat, joint in zip(system.arm.seats, system.joints, strict=True):
+        own = {f"{stem}{joint.number}" for stem in ("q_m", "q_a", "v_m", "v_a")} & noise.keys()
+        signals = [(record.signal(name), noise[name]) for record in known for name in own]
+        moved = [np.ptp(values) > 0.0 and np.std(values) > STILL * level for values, level in signals]
+        if own and not any(moved):
+            still.append(joint.name if system.tree is None else system.tree.names[seat])
     at_rest = (
         f"{listed(still)} {'stands' if len(still) == 1 else 'stand'} still in all records to learn from, so that "
         "nothing of a drive at rest can be identified; record motions of it"
     )
     if still and len(still) == joints:
         raise InputError(f"{at_rest}.")
-    runs = replay(dataset.select(names), system)
+    runs = replay(known, system)
     outputs = list(runs[0].nrmse) if runs else []
     words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs], outputs)
     found = [Finding("warning", "start_values", words)] if words else []
@@ -287,28 +279,15 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
                 "otherwise; check its unit and that of the time, or correct the start values"
             )
             found.append(_of_unit(times, words, output))
-        if _alike([(_steps(a), _steps(b)) for a, b in pairs]) < -TURNED:  # as with the sign reversed
+        # it may drift, and still turn as it does from one of some instants to the next, or as with the sign reversed
+        shares = [(pair, max(1, len(pair[0]) // INSTANTS)) for pair in pairs]
+        steps = [(np.diff(a[::every]), np.diff(b[::every])) for (a, b), every in shares]
+        if _alike(steps) < -TURNED:
             words = (
                 f"{output} turns the other way than with the model's start values; if the sign of the sensor or of the "
                 "command is reversed, give its channel 'scale: -1' under 'columns' in dataset.yaml"
             )
             found.append(Finding("warning", "sign", words, channel=output))
-    return found
-
-
-def _still(dataset: Dataset, system: System) -> list[str]:
-    """Names of the joints whose angles and speeds are measured and leave their noise in no record."""
-    found, noise = [], sensor_noise(dataset)
-    for seat, joint in zip(system.arm.seats, system.joints, strict=True):
-        own = [
-            c
-            for c in dataset.outputs
-            if c.name in (f"{stem}{joint.number}" for stem in ("q_m", "q_a", "v_m", "v_a"))
-        ]
-        signals = [(record.signal(c.name), noise[c.name]) for record in dataset.records for c in own]
-        moved = [np.ptp(values) > 0.0 and np.std(values) > STILL * level for values, level in signals]
-        if own and not any(moved):
-            found.append(joint.name if system.tree is None else system.tree.names[seat])
     return found
 
 
@@ -324,11 +303,6 @@ def _alike(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     both, own, other = (float(sum(np.vdot(p[i], p[j]) for p in pairs)) for i, j in ((0, 1), (0, 0), (1, 1)))
     known = np.isfinite((both, own, other)).all() and own > 0.0 and other > 0.0
     return both / (own * other) ** 0.5 if known else 0.0
-
-
-def _steps(signal: np.ndarray) -> np.ndarray:
-    """How far a signal goes from one of so many instants to the next: it may drift, and still turns as it does."""
-    return np.diff(signal[:: max(1, len(signal) // INSTANTS)])
 
 
 def check_fit(study: Study) -> str:
@@ -414,11 +388,12 @@ def residual_tests(
     batch = batch_of(dataset, system, records, signal_share)
     if x0 is not None and horizon.kind == "whole":
         batch.x[:, 0] = torch.as_tensor(x0)
-    runs = simulated_over(horizon, system, stable_engine(system, engine, batch), batch)
+    runs = run_freely(system, engine, batch, horizon)
+    simulated = runs.by_record(runs.simulated.y)
     known, tests = sensor_noise(dataset), []
     for column, output in enumerate(batch.outputs):
         residual, inputs = [], []
-        for run, record in zip(runs, records, strict=True):
+        for run, record in zip(simulated, records, strict=True):
             measured = record.outputs[output][: len(run)]
             if np.ptp(measured) == 0.0:
                 continue
@@ -501,7 +476,12 @@ def profiles(
             moved = chosen.system.with_values(dict(zip(chosen.names, start, strict=True)))
             one = fitted(moved.with_specs({name: replace(spec, value=value, estimate=False)}))
             found = dict(zip(one.names, one.values, strict=True)) | {name: value}
-            return 2.0 * one.cost + _prior(spec, value), np.array([found[n] for n in chosen.names])
+            cost = 2.0 * one.cost
+            if (
+                spec.prior_std is not None and spec.prior_mean is not None
+            ):  # the parameter is held, its prior is not
+                cost += ((value - spec.prior_mean) / spec.prior_std) ** 2
+            return cost, np.array([found[n] for n in chosen.names])
 
         best = fitted(chosen.system)
         return profile_likelihood(
@@ -522,13 +502,6 @@ def profiles(
     except KeyboardInterrupt:
         return found
     return found
-
-
-def _prior(spec: Bounded, value: float) -> float:
-    """What the prior of a parameter that is held adds to twice the cost."""
-    if spec.prior_std is None or spec.prior_mean is None:
-        return 0.0
-    return ((value - spec.prior_mean) / spec.prior_std) ** 2
 
 
 def check_names(names: Sequence[str], estimated: Sequence[str]) -> None:

@@ -20,7 +20,7 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fleet import FEWEST, Fleet, fleet
 from hybrid_id.statistics.uncertainty import autocorrelation_robust
 from hybrid_id.study.many import each_kept
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.study.run import fit_sets
 from hybrid_id.systems.chain import System
 

@@ -28,7 +28,7 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.residuals import ResidualTest
 from hybrid_id.statistics.uncertainty import autocorrelation_robust
 from hybrid_id.study.checks import residual_tests
-from hybrid_id.study.replays import batch_of, weighted_errors
+from hybrid_id.study.replay import batch_of, weighted_errors
 from hybrid_id.study.result import Study
 from hybrid_id.study.run import analyse_fits
 from hybrid_id.systems.chain import System

@@ -32,7 +32,7 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.statistics.variation import PairedDifference, paired_difference
-from hybrid_id.study.replays import batch_of, weighted_errors
+from hybrid_id.study.replay import batch_of, weighted_errors
 from hybrid_id.systems.by_joint import (
     joint_number,
     moving_records,
@@ -225,39 +225,48 @@ def _learn(
             "the joint moves; two validation records or more judge a network, or, without any, two train records or "
             f"more, left out in turn: give more records the role {judges if train else 'train'}."
         )
-    physics = _fitted(dataset, system, train, WHOLE, signal_share)
+    engine = compiled_for(system, Engine())
+
+    def fitted(start: System, records: Sequence[Record], over: Horizon) -> FitResult:
+        """One set of the estimated parameters for all of some records."""
+        batch = over.cut(start, engine, batch_of(dataset, start, records, signal_share))
+        return fit(start, batch, pooled=True, engine=engine, options=Options(max_iterations=ITERATIONS))[0]
+
+    physics = fitted(system, train, horizon or WHOLE)
     if horizon is None:
         batch = batch_of(dataset, system, train, signal_share)
         horizon = choose_horizon(system, physics.engine, batch, [physics])
         if horizon.kind != "whole":
-            physics = _fitted(dataset, system, train, horizon, signal_share)
+            physics = fitted(system, train, horizon)
     held = (
         [dataset.validation]
         if dataset.validation
         else [train[k::FOLDS] for k in range(min(FOLDS, len(train)))]
     )
+    over = horizon, signal_share
     errors: dict[float, dict[str, tuple[float, float]]] = {size: {} for size in SIZES}
     for part in held:
         rest = [record for record in train if record.name not in {r.name for r in part}]
-        before = _fitted(dataset, physics.system, rest, horizon, signal_share)
-        own = _errors(dataset, before.system, part, horizon, signal_share)
+        before = fitted(physics.system, rest, horizon)
+        own = _errors(dataset, before.system, part, *over)
         for size in SIZES:
-            after = _with_network(dataset, before, rest, size, horizon, signal_share)
-            richer = _errors(dataset, after.system, part, horizon, signal_share)
+            after = _with_network(dataset, before, rest, size, *over)
+            richer = _errors(dataset, after.system, part, *over)
             errors[size] |= {name: (own[name], richer[name]) for name in own}
     apart = sum(map(len, held)) / len(held)
     overlap = apart / (len(train) if dataset.validation else len(train) - apart)
     best, gain, stays = _best_size(errors, overlap)
-    hybrid = _with_network(dataset, physics, train, best, horizon, signal_share) if stays else physics
-    tested = [_errors(dataset, one.system, dataset.test, horizon, signal_share) for one in (physics, hybrid)]
+    hybrid = _with_network(dataset, physics, train, best, *over) if stays else physics
+    tested = [_errors(dataset, one.system, dataset.test, *over) for one in (physics, hybrid)]
     found = JointHybrid(
         physics, hybrid, best if stays else None, gain, errors[best],
         {name: (tested[0][name], tested[1][name]) for name in tested[0]}, horizon, None,
     )  # fmt: skip
-    maps = [
-        _map(dataset, hybrid.system, joint, signal_share) if stays else None for joint in hybrid.system.joints
+    joints = hybrid.system.joints
+    return [
+        replace(found, map=_map(dataset, hybrid.system, joint, signal_share) if stays else None)
+        for joint in joints
     ]
-    return [replace(found, map=one) for one in maps]
 
 
 def _best_size(
@@ -279,15 +288,6 @@ def _best_size(
     lost = [size for size, pairs in errors.items() if any(b == np.inf > a for a, b in pairs.values())]
     best = max(gains, key=lambda size: (size not in lost, np.nan_to_num(gains[size].mean, nan=-np.inf)))
     return best, gains[best], best not in lost and gains[best].lower > 0.0
-
-
-def _fitted(
-    dataset: Dataset, system: System, records: Sequence[Record], horizon: Horizon, signal_share: float
-) -> FitResult:
-    """One set of the estimated parameters for all of some records."""
-    engine = compiled_for(system, Engine())
-    batch = horizon.cut(system, engine, batch_of(dataset, system, records, signal_share))
-    return fit(system, batch, pooled=True, engine=engine, options=Options(max_iterations=ITERATIONS))[0]
 
 
 def _with_network(

@@ -21,7 +21,7 @@ from hybrid_id.statistics.reliability import Reliability
 from hybrid_id.statistics.residuals import Whiteness, whiteness
 from hybrid_id.statistics.uncertainty import Covariance, normal_interval
 from hybrid_id.statistics.variation import Variation, variation
-from hybrid_id.study.replays import BesideNominal, OutputError
+from hybrid_id.study.replay import BesideNominal, OutputError
 from hybrid_id.systems.chain import System
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -33,14 +33,13 @@ from hybrid_id.statistics.reliability import Reliability, reliability_grades
 from hybrid_id.statistics.uncertainty import (
     Covariance,
     autocorrelation_robust,
-    block_contributions,
+    block_bootstrap,
     covariance,
-    one_step_bootstrap,
 )
-from hybrid_id.statistics.variation import Variation, mean_interval, prior_variances, variation
+from hybrid_id.statistics.variation import error_of_mean, prior_variances, variation
 from hybrid_id.study.checks import identifiability_of
 from hybrid_id.study.many import leave_ctrl_c_to_the_first, whole_pool
-from hybrid_id.study.replays import batch_of, beside_nominal, cross_validate, engine_error, errors_on
+from hybrid_id.study.replay import batch_of, beside_nominal, cross_validate, engine_error, errors_on
 from hybrid_id.study.result import Study
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -272,11 +271,23 @@ def analyse_fits(
     """
     batch = batch_of(dataset, system, dataset.train, signal_share) if batch is None else batch.to("cpu")
     if all(result.status == "diverged" for result in sets):
-        _refuse_diverged(dataset, system, sets[0].engine, batch)
+        engine = stable_engine(system, sets[0].engine, batch)
+        cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
+        why = f" ({cause})" if cause else ""
+        raise InputError(
+            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values{why}."
+        )
     for result in sets:  # statistics are numpy's
         result.system.to("cpu")
+
+    def covariance_by(way: Callable[..., Covariance], result: FitResult) -> Covariance:
+        if result.status == "diverged":
+            nothing = np.full((len(result.values),) * 2, np.nan)
+            return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
+        return way(*result.of_records(), prior_precision=result.prior_precision)
+
     plain, robust = (
-        tuple(_covariance_of(way, r) for r in sets) for way in (covariance, autocorrelation_robust)
+        tuple(covariance_by(way, r) for r in sets) for way in (covariance, autocorrelation_robust)
     )
     matrix = cross_validate(sets, batch, horizon, pooled=pooled)
     selection = select(matrix)
@@ -296,7 +307,10 @@ def analyse_fits(
         errors = {way: np.hypot(error, of_mean) for way, error in errors.items()}
     held = [n for n, share in zip(names, identifiability.prior_share, strict=True) if share > 0.5]
     variations = variation(values, names, held=held) if len(sets) > 1 else None
-    scattered = {} if variations is None else _scattered(variations, held)
+    scattered = {}
+    if variations is not None:  # none that priors hold
+        rows = zip(names, variations.percent, variations.acceptable, strict=True)
+        scattered = {name: percent for name, percent, fine in rows if not fine and name not in held}
     reliability = reliability_grades(
         names,
         np.nanmean(values, 0),
@@ -323,29 +337,6 @@ def analyse_fits(
         horizon=horizon, level=level, test_errors=by_output, outputs=with_joint_names(dataset.outputs, system),
         input_error=input_error,
     )  # fmt: skip
-
-
-def _refuse_diverged(dataset: Dataset, system: System, engine: Engine, batch: Batch) -> NoReturn:
-    """Say that every fit has diverged, and why where a simulation shows it.
-
-    Raises:
-        InputError: always.
-    """
-    engine = stable_engine(system, engine, batch)
-    cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
-    why = f" ({cause})" if cause else ""
-    raise InputError(
-        f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values{why}."
-    )
-
-
-def _scattered(found: Variation, held: Sequence[str]) -> dict[str, float]:
-    """Parameters that vary more between records than is acceptable, with their std/mean [%]; none that priors hold."""
-    return {
-        name: percent
-        for name, percent, fine in zip(found.names, found.percent, found.acceptable, strict=True)
-        if not fine and name not in held
-    }
 
 
 def _shifts(
@@ -385,14 +376,6 @@ def _shifts(
     return np.array(found) - _estimates(sets)
 
 
-def _covariance_of(way: Callable[..., Covariance], result: FitResult) -> Covariance:
-    """Covariance of a set; a fit that diverged has none."""
-    if result.status == "diverged":
-        nothing = np.full((len(result.values),) * 2, np.nan)
-        return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
-    return way(*result.of_records(), prior_precision=result.prior_precision)
-
-
 def _estimates(sets: Sequence[FitResult]) -> np.ndarray:
     """Values of all sets (n, p); NaN where a fit diverged, whose values are no estimate."""
     return np.array([np.full(len(r.values), np.nan) if r.status == "diverged" else r.values for r in sets])
@@ -422,15 +405,14 @@ def _errors_of_the_mean(
         mean = {"plain": of_mean(plain), "robust": of_mean(robust)}
         if count < 2:
             return mean
-        scatter = mean_interval(_estimates(sets)).std_error
+        scatter = error_of_mean(_estimates(sets))
         return mean | {"between records": np.sqrt(scatter**2 + shared)}
     result = sets[0]
     errors = {"plain": plain[0].std_error, "robust": robust[0].std_error}
     ways: dict[str, Literal["auto", "record"]] = {"block bootstrap": "auto"}
     ways |= {"record bootstrap": "record"} if len(result.residual) > 4 else {}
     for way, block in ways.items():
-        blocks = block_contributions(*result.of_records(), block=block)
-        errors[way] = one_step_bootstrap(
-            result.values, blocks, prior_precision=result.prior_precision, seed=seed
-        ).std_error
+        errors[way] = block_bootstrap(
+            *result.of_records(), block=block, prior_precision=result.prior_precision, seed=seed
+        )
     return errors

@@ -21,7 +21,7 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.statistics.fit import fit_percent
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
 
 __all__ = ["Overlay", "Snapshot", "overlays", "scalars", "too_long", "train"]

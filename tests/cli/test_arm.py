@@ -25,7 +25,7 @@ from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.study.ablation import run_cells
-from hybrid_id.study.replays import replay
+from hybrid_id.study.replay import replay
 from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")

@@ -29,7 +29,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
 from hybrid_id.records.skew import Skew
 from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import (
     STANDS,
     alone,

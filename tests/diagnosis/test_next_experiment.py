@@ -20,7 +20,7 @@ from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems import System, one_link_flexible
 from hybrid_id.systems.by_joint import alone, with_others_measured
 from hybrid_id.systems.model_file import load_model

@@ -32,7 +32,7 @@ from hybrid_id.diagnosis.scales import scales
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 
 NEAR = 0.1
 """Periods a turn that records of a few turns of the rotor tell apart."""

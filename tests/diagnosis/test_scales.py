@@ -13,7 +13,7 @@ from hybrid_id.diagnosis.catalogue import effect, with_effect
 from hybrid_id.diagnosis.scales import scales
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems import two_link
 
 

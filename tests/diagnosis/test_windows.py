@@ -12,7 +12,7 @@ from hybrid_id.diagnosis.fits import Fits, engine
 from hybrid_id.identification.horizons import Horizon, windows
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 
 
 def cut(place: str, kind: str, **values: float):

@@ -12,7 +12,7 @@ from hybrid_id.export.target import in_mujoco, target_errors
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.reporting.target import replays_table
-from hybrid_id.study.replays import replay
+from hybrid_id.study.replay import replay
 from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
 

@@ -34,7 +34,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.uncertainty import robust_covariance
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replay import batch_of
 from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
 

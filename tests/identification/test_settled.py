@@ -15,7 +15,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study.replays import cross_validate
+from hybrid_id.study.replay import cross_validate
 from hybrid_id.study.run import identify
 from hybrid_id.systems import one_link, one_link_flexible
 from hybrid_id.systems.chain import System

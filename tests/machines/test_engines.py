@@ -12,7 +12,7 @@ from hybrid_id.machines.physics.mujoco import MujocoMachine, Unsupported, planar
 from hybrid_id.machines.robots import SYSTEMS, draw_robot
 from hybrid_id.machines.trials import Trials
 from hybrid_id.records.yaml_file import validate
-from hybrid_id.study.replays import replay as model_replay
+from hybrid_id.study.replay import replay as model_replay
 from hybrid_id.systems.model_file import build_model
 from hybrid_id.systems.model_schema import ModelFile
 

@@ -31,7 +31,7 @@ from hybrid_id.study import (
     compare,
     identify,
 )
-from hybrid_id.study.replays import beside_nominal
+from hybrid_id.study.replay import beside_nominal
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 

@@ -32,7 +32,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.simulation import compiled as compiled_engine
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import library
-from hybrid_id.simulation.compiled import compiled_for, source, structure, supports_compiled
+from hybrid_id.simulation.compiled import compiled_for, source, supports_compiled
 from hybrid_id.simulation.lifted import condense, condense_reference, linearise, shoot
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import rollout, simulate
@@ -230,25 +230,6 @@ def test_one_code_serves_all_machines_of_a_structure() -> None:
     assert code == same, "a gear ratio is a number beside the parameters"
     assert constants != others
     assert source(system, ("u1",))[0] != source(SYSTEMS["coulomb"], ("u1",))[0]
-
-
-class Heavier(Spring):
-    """A component with something beside its parameters."""
-
-    kind = ""
-
-    def __init__(self, factor: float, **values: float) -> None:
-        super().__init__(**values)
-        self.factor = torch.tensor(factor)
-
-
-def test_equal_structures_mean_equal_code() -> None:
-    system = SYSTEMS["arm"]
-    assert structure(system) == structure(system.with_values({"F_cm1": 0.02}))
-    assert structure(system) == structure(arm(vertical=True)) != structure(arm())
-    assert structure(arm()) != structure(two_link((156.0, 83.0)).with_values(ARM))
-    light, heavy = (rigid_drive().with_component("joint1/load", Heavier(f, k_s=0.5)) for f in (1.0, 2.0))
-    assert structure(light) != structure(heavy)
 
 
 @pytest.mark.parametrize("name", ["springs", "loaded arm"])

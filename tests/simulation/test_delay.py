@@ -1,6 +1,5 @@
 """A delay shifts the held command, by whole and by broken samples, and the records tell it."""
 
-import shutil
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +11,6 @@ from hybrid_id.components import CommonDelay, Delay, SensorDelay
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.lifted import linearise
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -42,29 +40,6 @@ def test_whole_samples_shift_the_command(samples: int) -> None:
 def test_broken_samples_mix_two() -> None:
     mixed = 0.75 * VOLTAGE + 0.25 * np.concatenate([[0.0], VOLTAGE[:-1]])
     np.testing.assert_allclose(run(delayed(0.25 * STEP), VOLTAGE), run(DRIVE, mixed), atol=1e-9)
-
-
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs a C compiler")
-def test_compiled_sensitivities_go_through_the_delayed_channel() -> None:
-    system = delayed(2.6 * STEP)
-    voltages = [multisine(seed, samples=200, amplitude=7.0, rest=10) for seed in (1, 2)]
-    records = [
-        Record(f"run{k}", STEP * np.arange(200), {"u1": u}, {"q_m1": 0.0 * u}) for k, u in enumerate(voltages)
-    ]
-    batch = make_batch(system, records, noise_std={"q_m1": 1.0}, estimate_start=False)
-    theta = system.theta().detach()[:, None] * torch.tensor([1.0, 0.9])
-    free = list(range(len(system.table)))
-    x = simulate(system, Engine(), batch, theta).x
-    found, expected = (
-        linearise(system, Engine(compiled=compiled), x, batch.u, batch.dt, theta, free, batch.outputs)
-        for compiled in (True, False)
-    )
-    torch.testing.assert_close(found.x_next, expected.x_next, rtol=1e-9, atol=1e-12)
-    for one in ("a", "b"):
-        there, here = getattr(expected, one), getattr(found, one)
-        torch.testing.assert_close(here, there, rtol=1e-8, atol=1e-9 * float(there.abs().max()))
-    column = [info.symbol for info in system.table].index("T_d")
-    assert float(found.b[..., column].abs().max()) > 0.0
 
 
 def test_fit_finds_a_delay_from_none() -> None:

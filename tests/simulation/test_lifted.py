@@ -16,7 +16,6 @@ from hybrid_id.simulation import lifted
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import (
     Linearisation,
-    condense,
     condense_compiled,
     condense_reference,
     forced,
@@ -233,15 +232,3 @@ def test_shooting_keeps_the_chunk_starts_and_fills_the_rest(length: int) -> None
     inside = torch.ones(49, dtype=torch.bool)
     inside[length - 1 :: length] = False
     assert defect[:, inside].numel() == 0 or defect[:, inside].max() < 1e-12
-
-
-def test_a_linearisation_is_condensed_alike_in_c() -> None:
-    system = SYSTEMS["flexible"]
-    batch = batch_of(system, {"u1": np.stack([multisine(k, samples=60, rest=2) for k in range(2)])}, rows=2)
-    arguments = (batch.x + 0.01, batch.u, batch.dt, stored(system, 2), [0, 3], batch.outputs)
-    lin = linearise(system, Engine(), *arguments)
-    reference = condense_reference(lin, batch.x)
-    torch.testing.assert_close(condense(lin, batch.x), reference, rtol=1e-10, atol=1e-12)
-    single = Linearisation(**{k: v if k == "picks" else v.float() for k, v in vars(lin).items()})
-    assert condense_compiled(batch.x.float(), single.a, single.b, single.x_next) is None
-    assert condense(single, batch.x.float()).dtype == torch.float32

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from drives import flexible_drive, make_record, multisine, rigid_drive, stored
+from drives import flexible_drive, make_record, multisine, rigid_drive
 
 from hybrid_id.components import MotorEncoder
 from hybrid_id.errors import InputError
@@ -220,22 +220,6 @@ def test_windows_cover_the_record_and_start_where_it_is() -> None:
     torch.testing.assert_close(windows.x[1], batch.x[0, 100:200])
     torch.testing.assert_close(windows.y[6, :, 0], batch.y[1, 200:300, 0])
     assert (windows.x0_std == 0.5).all()
-
-
-def test_batch_of_some_rows_and_on_a_device() -> None:
-    batch = make_batch(rigid_drive(), [record(1), record(2)], noise_std=NOISE)
-    twice = batch.take(torch.tensor([1, 1, 0])).to("cpu")
-    assert twice.names == ("r2", "r2", "r1") and twice.rows == 3
-    torch.testing.assert_close(twice.y[2], batch.y[0])
-    assert stored(rigid_drive(), 3).shape[1] == twice.rows
-
-
-def test_flexible_record_that_starts_in_motion_leaves_the_link_free() -> None:
-    cut = make_record(flexible_drive(), multisine(1, samples=800), seed=1, noise=NOISE, name="cut").between(
-        0.5, 1.5
-    )
-    batch = make_batch(flexible_drive(), [cut], noise_std=NOISE)
-    assert (batch.x0_std[0] > 0).all()
 
 
 @pytest.mark.parametrize("side", ["q_m1", "q_a1"])

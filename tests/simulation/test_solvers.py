@@ -17,7 +17,7 @@ from hybrid_id.simulation import lifted
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import condense, linearise
 from hybrid_id.simulation.rollout import rollout, simulate
-from hybrid_id.simulation.solvers import ADAPTIVE, HeldField, OdeEngine, extra_parameters
+from hybrid_id.simulation.solvers import ADAPTIVE, OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
 
@@ -274,11 +274,3 @@ def test_impossible_settings_are_refused_by_name(settings: dict) -> None:
 def test_half_a_step_is_half_of_every_step() -> None:
     assert (OdeEngine(substeps=2, fine=8).halved().substeps, OdeEngine(fine=8).halved().fine) == (4, 16)
     assert OdeEngine(method="dopri5", rtol=1e-5).halved().rtol == pytest.approx(1e-6)
-
-
-def test_field_is_a_module_that_owns_the_parameters_of_its_system() -> None:
-    u = {"u1": torch.zeros(2, dtype=torch.float64)}
-    field = HeldField(PAPER, u, torch.full((2,), 0.002).double(), PAPER.views(list(stored(PAPER))), 0.5)
-    assert isinstance(field, nn.Module)
-    assert len(list(field.parameters())) == len(PAPER.table)
-    assert field(torch.zeros(()), torch.ones(2, 2).double()).shape == (2, 2)

@@ -10,11 +10,10 @@ from scipy.signal import lfilter
 
 from hybrid_id.statistics.uncertainty import (
     autocorrelation_robust,
-    block_contributions,
+    block_bootstrap,
     covariance,
     jackknife_covariance,
     normal_interval,
-    one_step_bootstrap,
     robust_covariance,
 )
 
@@ -143,8 +142,7 @@ def test_beside_a_prior_errors_are_those_of_the_fit_that_weighs_noise_as_declare
     for way in (covariance, robust_covariance, jackknife_covariance):
         error = way(design, residual, prior_precision=prior).std_error
         np.testing.assert_allclose(error, scatter, rtol=0.25 if way is not covariance else 0.08)
-    blocks = block_contributions(design, residual, block=10)
-    drawn = one_step_bootstrap(found[0], blocks, prior_precision=prior, prior_mean=found[0]).std_error
+    drawn = block_bootstrap(design, residual, block=10, prior_precision=prior)
     np.testing.assert_allclose(drawn, scatter, rtol=0.25)
 
 

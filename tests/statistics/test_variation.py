@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid_id.statistics.variation import mean_interval, prior_variances, variation
+from hybrid_id.statistics.variation import error_of_mean, prior_variances, variation
 
 SETS = np.array([[9.0, 1.0, 5.0], [10.0, 2.0, 5.0], [11.0, 3.0, 5.0]])
 NAMES = ["J", "f_3", "P_m1"]
@@ -46,20 +46,11 @@ def test_percent_does_not_depend_on_unit_or_sign(scale, sign):
     )
 
 
-def test_interval_of_the_mean_covers_as_often_as_it_says(rng):
+def test_error_of_the_mean_is_what_the_scatter_says(rng):
     samples = 3.0 + rng.standard_normal((5, 4000))  # 4000 "parameters", 5 experiments each
-    interval = mean_interval(samples)
-    coverage = np.mean((interval.lower < 3) & (interval.upper > 3))
-    assert coverage == pytest.approx(0.95, abs=0.012)
-    # A normal interval in its place would be too confident.
-    reach = 1.96 * interval.std_error
-    assert np.mean(np.abs(interval.mean - 3) < reach) < 0.90
-
-
-def test_interval_of_one_experiment_is_unknown():
-    interval = mean_interval(SETS[:1])
-    np.testing.assert_allclose(interval.mean, SETS[0])
-    assert np.isnan(interval.lower).all()
+    error = error_of_mean(samples)
+    assert np.mean(error**2) == pytest.approx(1 / 5, rel=0.05)
+    assert np.isnan(error_of_mean(SETS[:1])).all()
 
 
 def test_what_a_prior_is_off_by_does_not_average_out(rng):

@@ -8,7 +8,7 @@ import pytest
 
 from hybrid_id.errors import InputError
 from hybrid_id.robots.description import load_tree
-from hybrid_id.study.arm_excitation import ArmExcitation, JointLimits, design_arm_motion, joint_limits
+from hybrid_id.study.excitation import ArmExcitation, JointLimits, design_arm_motion, joint_limits
 from hybrid_id.systems.builders import robot
 
 mujoco = pytest.importorskip("mujoco")

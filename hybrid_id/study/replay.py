@@ -1,4 +1,7 @@
-"""Free runs of models over records: replays, models side by side, and the simulations by which a study is judged."""
+"""The errors of free runs: records simulated through a model, whole or from measured states, and how far outputs stray.
+
+Commands, cross-validation, diagnosis and export all take them from here.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import FOLLOWED, WHOLE, Horizon, choose_horizon, free_runs
@@ -16,16 +20,14 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch, typical_deviations
-from hybrid_id.simulation.rollout import cause_of_divergence, simulate
+from hybrid_id.simulation.rollout import Simulation, cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
+from hybrid_id.statistics.cross_validation import CrossValidation
 from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse, rmse
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
-LANES = 400_000
-"""Samples that are simulated at once."""
 WORSE = 1.02
 """Error of identified values over that of the nominal ones from which it is no accident of the noise."""
 
@@ -44,6 +46,66 @@ def batch_of(
     return make_batch(system, records, noise_std=noise, signal_share=signal_share, typical=typical).to(device)
 
 
+@dataclass(frozen=True, eq=False)
+class FreeRuns:
+    """Free runs of a model over records.
+
+    Attributes:
+        records: names of the records.
+        pieces: what is simulated: the records, or pieces of each one after the other.
+        simulated: states and outputs of the pieces.
+        engine: how they are integrated.
+    """
+
+    records: tuple[str, ...]
+    pieces: Batch
+    simulated: Simulation
+    engine: Engine
+
+    def by_record(self, values: Tensor) -> list[np.ndarray]:
+        """Values ``(P, T, n)`` of the pieces of each record, ``(T_r, n)``: an end shorter than a window is left out."""
+        used, samples = (self.pieces.weight > 0).any(2).cpu().numpy(), values.cpu().numpy()
+        rows: dict[str, list[int]] = {record: [] for record in self.records}
+        for row, record in enumerate(self.pieces.names):
+            rows[record].append(row)
+        return [samples[pieces][used[pieces]] for pieces in rows.values()]
+
+    def errors(self, measure: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """A measure of :mod:`hybrid_id.statistics.fit` by record and output, ``(n_records, n_outputs)``."""
+        pairs = zip(self.by_record(self.pieces.y), self.by_record(self.simulated.y), strict=True)
+        return np.array([measure(measured.T, simulated.T) for measured, simulated in pairs])
+
+
+def run_freely(system: System, engine: Engine, batch: Batch, horizon: Horizon = WHOLE) -> FreeRuns:
+    """Simulate records through a model.
+
+    Args:
+        system: the model.
+        engine: how; its sub-steps are raised where stability needs it: other records may have longer samples.
+        batch: whole records, prepared for the model.
+        horizon: where the runs begin anew from a measured state (default: nowhere).
+    """
+    pieces = horizon.cut(system, engine, batch)
+    engine = stable_engine(system, engine, pieces)
+    # a whole record starts at rest, where it was measured
+    run = simulate(system, engine, pieces) if pieces is batch else free_runs(system, engine, pieces)
+    return FreeRuns(tuple(dict.fromkeys(batch.names)), pieces, run, engine)
+
+
+def weighted_errors(
+    system: System, engine: Engine, batch: Batch, horizon: Horizon = WHOLE
+) -> dict[str, float]:
+    """RMS of the weighted errors of :func:`run_freely` by record, all outputs together; infinite where one diverged."""
+    runs = run_freely(system, engine, batch, horizon)
+    weight, errors = runs.pieces.weight, {}
+    left = runs.by_record((runs.simulated.y - runs.pieces.y) * weight)
+    for record, residual, used in zip(runs.records, left, runs.by_record(weight), strict=True):
+        with np.errstate(over="ignore"):  # on its way to infinity
+            mean = float(np.square(residual).sum() / np.count_nonzero(used))
+        errors[record] = mean**0.5 if mean == mean else np.inf
+    return errors
+
+
 def cross_validate(
     sets: Sequence[FitResult], batch: Batch, horizon: Horizon = WHOLE, *, pooled: bool
 ) -> CrossValidation:
@@ -51,49 +113,25 @@ def cross_validate(
 
     Args:
         sets: parameter sets.
-        batch: whole records, or pieces of them, over which the free runs begin anew.
-        horizon: how whole records are cut into pieces, which begin in hidden states of each set's own.
+        batch: whole records.
+        horizon: how they are cut into pieces, which begin in hidden states of each set's own.
         pooled: whether one set was fitted to all of them.
     """
-    system = sets[0].system
-    each = horizon.simulates(system, batch)
-    cut = [horizon.cut(r.system, r.engine, batch) for r in (sets if each else sets[:1])]
-    pieces, batch = cut if each else cut * len(sets), cut[0]
+    system, fits = sets[0].system, []
     speeds = [joint.positions[0] + 1 for joint in system.joints if f"v_m{joint.number}" not in batch.outputs]
-    signals = (*batch.outputs, *(system.state_names[row] for row in speeds))
-    theta = torch.stack([r.system.theta().detach() for r in sets], 1).to(batch.x.device)
-    share = 1 if each else max(1, LANES // (batch.rows * batch.x.shape[1]))
-    records = tuple(dict.fromkeys(batch.names))
-    run_freely = simulate if len(records) == batch.rows else free_runs
-    fits = np.empty((len(sets), len(records), len(signals)))
-    engines = [stable_engine(r.system, r.engine, batch) for r in sets]
-    for engine in dict.fromkeys(engines):  # sets of the same sub-steps at once
-        alike = [k for k, one in enumerate(engines) if one == engine]
-        for first in range(0, len(alike), share):
-            some = torch.tensor(alike[first : first + share])
-            rows = torch.arange(batch.rows).repeat(len(some)).to(batch.x.device)
-            part = pieces[int(some[0])].take(rows)
-            run = run_freely(system, engine, part, theta[:, some.repeat_interleave(batch.rows)])
-            simulated = torch.cat([run.y, run.x[..., speeds]], -1).cpu().numpy()
-            for k, i in enumerate(some.tolist()):
-                fits[i] = _fits(pieces[i], simulated[k * batch.rows : (k + 1) * batch.rows], speeds)
-    own = [-1] * len(sets) if pooled else list(range(len(sets)))
-    labels = ["pooled"] if pooled else [r.records[0] for r in sets]
-    return cross_validation(
-        fits, set_names=labels, record_names=records, signal_names=signals, own_record=own
+    for result in sets:
+        runs = run_freely(result.system, result.engine, batch, horizon)
+        measured, simulated = (
+            runs.by_record(torch.cat([of.y, of.x[..., speeds]], -1)) for of in (runs.pieces, runs.simulated)
+        )
+        fits.append([fit_percent(y.T, run.T) for y, run in zip(measured, simulated, strict=True)])
+    return CrossValidation(
+        np.array(fits),
+        set_names=("pooled",) if pooled else tuple(result.records[0] for result in sets),
+        record_names=tuple(dict.fromkeys(batch.names)),
+        signal_names=(*batch.outputs, *(system.state_names[row] for row in speeds)),
+        own_record=[-1] * len(sets) if pooled else list(range(len(sets))),
     )
-
-
-def _fits(batch: Batch, simulated: np.ndarray, speeds: Sequence[int]) -> np.ndarray:
-    measured = torch.cat([batch.y, batch.x[..., list(speeds)]], -1).cpu().numpy()
-    records, names = list(dict.fromkeys(batch.names)), np.array(batch.names)
-    fits = np.empty((len(records), measured.shape[-1]))
-    valid = (batch.weight > 0).any(2).cpu().numpy()
-    for row, record in enumerate(records):
-        mine = valid & (names == record)[:, None]
-        for column in range(measured.shape[-1]):
-            fits[row, column] = fit_percent(measured[mine, column], simulated[mine, column])
-    return fits
 
 
 def engine_error(result: FitResult, batch: Batch) -> float:
@@ -146,10 +184,8 @@ def errors_on(
     if not records:
         return {}, {}
     batch = batch_of(dataset, system, records, signal_share)
-    engine = stable_engine(system, engine, batch)  # these records may have longer samples
-    runs = simulated_over(horizon, system, engine, batch)
-    pairs = [(y[: len(run)].T, run.T) for y, run in zip(batch.y.numpy(), runs, strict=True)]  # (n_y, T)
-    normalised, plain = (np.array([of(*pair) for pair in pairs]) for of in (nrmse, rmse))  # (records, n_y)
+    runs = run_freely(system, engine, batch, horizon)
+    normalised, plain = runs.errors(nrmse), runs.errors(rmse)
     by_record = {name: known_mean(row) for name, row in zip(batch.names, normalised, strict=True)}
     by_output = {
         name: OutputError(float(plain[:, c].mean()), known_mean(normalised[:, c]))
@@ -225,17 +261,6 @@ def beside_nominal(
     return BesideNominal(role, len(records), nominal, identified)
 
 
-def simulated_over(horizon: Horizon, system: System, engine: Engine, batch: Batch) -> list[np.ndarray]:
-    """Outputs of a model's free runs over a horizon, those of a record one after the other, ``(T, n_y)`` each.
-
-    The end of a record that is shorter than a window is left out.
-    """
-    part = horizon.cut(system, engine, batch)
-    run = simulate(system, engine, part) if part is batch else free_runs(system, engine, part)
-    valid, names = (part.weight > 0).any(2).numpy(), np.array(part.names)
-    return [run.y.numpy()[valid & (names == name)[:, None]] for name in batch.names]
-
-
 @dataclass(frozen=True, eq=False)
 class Replay:
     """Free run of a model under the inputs of a record.
@@ -295,7 +320,11 @@ class Comparison:
     @property
     def mean_error(self) -> dict[str, float]:
         """NRMSE of each model, mean of records and outputs; infinite where a run diverged."""
-        return {label: _mean_error(replays) for label, replays in self.replays.items()}
+        errors = {
+            label: known_mean([known_mean(run.nrmse.values()) for run in replays])
+            for label, replays in self.replays.items()
+        }
+        return {label: error if np.isfinite(error) else np.inf for label, error in errors.items()}
 
 
 def replay(
@@ -314,25 +343,23 @@ def replay(
         InputError: a channel that the model needs is missing.
     """
     batch = batch_of(dataset, system, dataset.records)
-    engine = stable_engine(system, compiled_for(system, engine or Engine()), batch)
-    runs = simulated_over(horizon, system, engine, batch)
-    found = []
-    for record, run in zip(dataset.records, runs, strict=True):
+    runs = run_freely(system, compiled_for(system, engine or Engine()), batch, horizon)
+    measures = [runs.errors(measure) for measure in (fit_percent, nrmse, rmse)]
+    replays = []
+    for row, (record, run) in enumerate(zip(dataset.records, runs.by_record(runs.simulated.y), strict=True)):
         whole = np.pad(run, ((0, record.n_samples - len(run)), (0, 0)), constant_values=np.nan)
-        fits, errors, plain = (
-            {n: float(of(record.signal(n)[: len(run)], run[:, k])) for k, n in enumerate(batch.outputs)}
-            for of in (fit_percent, nrmse, rmse)
-        )
         outputs = dict(zip(batch.outputs, whole.T, strict=True))
-        lost = "" if np.isfinite(run).all() else _why_lost(system, engine, batch, record.name)
-        found.append(Replay(record, outputs, fits, errors, plain, "diverged" if lost else "ok", lost))
-    return tuple(found)
-
-
-def _why_lost(system: System, engine: Engine, batch: Batch, record: str) -> str:
-    part = batch.take(torch.tensor([batch.names.index(record)]))
-    cause = cause_of_divergence(system, engine, part, simulate(system, engine, part).x)
-    return cause or f"record '{record}': the simulation has no finite output; correct the values of the model"
+        fit, error, plain = (dict(zip(batch.outputs, of[row].tolist(), strict=True)) for of in measures)
+        lost = ""
+        if not np.isfinite(run).all():
+            alone = batch.take(torch.tensor([row]))
+            states = simulate(system, runs.engine, alone).x
+            lost = (
+                cause_of_divergence(system, runs.engine, alone, states)
+                or f"record '{record.name}': the simulation has no finite output; correct the values of the model"
+            )
+        replays.append(Replay(record, outputs, fit, error, plain, "diverged" if lost else "ok", lost))
+    return tuple(replays)
 
 
 def compare(
@@ -376,26 +403,3 @@ def compare(
     if horizon.kind == "whole":
         return Comparison(replays, horizon, outputs)
     return compare(dataset, models, engine=engine, horizon=horizon)
-
-
-def _mean_error(runs: tuple[Replay, ...]) -> float:
-    """Mean normalised RMSE over records and outputs; infinite where a run diverged."""
-    error = known_mean([known_mean(run.nrmse.values()) for run in runs])
-    return error if np.isfinite(error) else np.inf
-
-
-def weighted_errors(
-    system: System, engine: Engine, batch: Batch, horizon: Horizon = WHOLE
-) -> dict[str, float]:
-    """RMS of the weighted error of the free runs over a horizon by record; infinite where one diverged."""
-    engine = stable_engine(system, engine, batch)
-    part = horizon.cut(system, engine, batch)
-    run, batch = (simulate if part is batch else free_runs)(system, engine, part), part
-    square = ((run.y - batch.y) * batch.weight).square().sum((1, 2))
-    count = (batch.weight > 0).sum((1, 2))
-    found: dict[str, float] = {}
-    for name in dict.fromkeys(batch.names):
-        rows = torch.tensor([k for k, other in enumerate(batch.names) if other == name])
-        mean = float(square[rows].sum() / count[rows].sum())
-        found[name] = mean**0.5 if mean == mean else torch.inf
-    return found
