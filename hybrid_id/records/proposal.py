@@ -315,8 +315,16 @@ def angle_unit(
         return Guess(about, unit, f"span {span:.4g} at the slide {joint.name} of range {joint.range:.4g} m")
     if said in (*ANGLE_FACTORS, "counts"):
         return Guess(about, said, "its name says so")
-    if ratio and (pair := _by_speed(ratio, speed_unit)):
-        return Guess(about, *pair)
+    near = [  # units in which its derivative is a logged speed
+        (angle, speed)
+        for angle, of_angle in ANGLE_FACTORS.items()
+        for speed, of_speed in SPEED_FACTORS.items()
+        if abs(abs(ratio) * of_angle / of_speed - 1.0) < 0.05 and speed_unit in ("", speed)
+    ]
+    if len({angle for angle, _ in near}) == 1:
+        angle, speed = near[0]
+        words = f"its derivative is {abs(ratio):.4g} times the speed column, as {angle} beside {speed}"
+        return Guess(about, angle, words)
     whole = bool(np.all(every == np.round(every))) and np.unique(every).size > 8
     if counted := counted_unit(values):
         unit, step, bits = counted
@@ -386,19 +394,6 @@ def encoder_bits(values: Sequence[np.ndarray], turn: float) -> int:
     return round(bits) if 8 <= round(bits) <= 24 and abs(2.0 ** (bits - round(bits)) - 1.0) < 0.005 else 0
 
 
-def _by_speed(ratio: float, speed_unit: str) -> tuple[str, str] | None:
-    """Unit of an angle and the evidence, by how many times its derivative is a logged speed."""
-    near = []
-    for angle, of_angle in ANGLE_FACTORS.items():
-        for speed, of_speed in SPEED_FACTORS.items():
-            if abs(abs(ratio) * of_angle / of_speed - 1.0) < 0.05 and speed_unit in ("", speed):
-                near.append((angle, speed))
-    if len({angle for angle, _ in near}) != 1:
-        return None
-    angle, speed = near[0]
-    return angle, f"its derivative is {abs(ratio):.4g} times the speed column, as {angle} beside {speed}"
-
-
 def speed_unit(ratio: float, angle_factor: float, about: str, said: str = "") -> Guess:
     """Unit of a speed by the derivative of its angle.
 
@@ -413,17 +408,14 @@ def speed_unit(ratio: float, angle_factor: float, about: str, said: str = "") ->
         times = factor / SPEED_FACTORS[said]
         if not ratio or 1.0 / FAR_OFF < times < FAR_OFF:
             return Guess(about, said, "its name says so")
-        return Guess(
-            about, said, f"its name says so, yet the derivative of the angle is {times:.3g} times it", False
-        )
+        words = f"its name says so, yet the derivative of the angle is {times:.3g} times it"
+        return Guess(about, said, words, False)
     for unit, of_unit in SPEED_FACTORS.items():
         if abs(factor / of_unit - 1.0) < 0.1:
-            return Guess(
-                about, unit, f"the derivative of the angle is {factor / of_unit:.3f} times it as {unit}"
-            )
-    return Guess(
-        about, "rad/s", f"one of it is {factor:.3g} rad/s of the angle's derivative, no usual unit", False
-    )
+            words = f"the derivative of the angle is {factor / of_unit:.3f} times it as {unit}"
+            return Guess(about, unit, words)
+    words = f"one of it is {factor:.3g} rad/s of the angle's derivative, no usual unit"
+    return Guess(about, "rad/s", words, False)
 
 
 def wrap_period(values: Sequence[np.ndarray], unit: str, counts_per_turn: float = 0.0) -> float:

@@ -93,7 +93,14 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
         Finding("warning", "skew", skew.message, channel=skew.channel) for skew in find_skews(dataset)
     ]
     of_records = [finding for record in dataset for finding in check_record(record)]
-    findings += _merged(_slow_beside_faster(dataset, of_records))
+    slow = {finding.record for finding in of_records if finding.code == "slow"}
+    if any(record.name not in slow for record in dataset.train):  # no fault, for all are fitted at once
+        words = "{}: under two turning points in each signal; the inertia shows in faster train records"
+        of_records = [
+            replace(one, severity="info", message=words.format(one.record)) if one.code == "slow" else one
+            for one in of_records
+        ]
+    findings += _merged(of_records)
     findings += _resting(dataset)
     return worst_first(findings)
 
@@ -203,20 +210,6 @@ def _resting(dataset: Dataset) -> Iterator[Finding]:
         "if one has moved, check its column"
     )
     yield Finding("warning", "rests", words)
-
-
-def _slow_beside_faster(dataset: Dataset, findings: list[Finding]) -> list[Finding]:
-    """Findings of records; a slow record is no fault where a train record is faster, for all are fitted at once."""
-    slow = {finding.record for finding in findings if finding.code == "slow"}
-    if all(record.name in slow for record in dataset.train):
-        return findings
-    words = "{}: under two turning points in each signal; the inertia shows in faster train records"
-    return [
-        replace(finding, severity="info", message=words.format(finding.record))
-        if finding.code == "slow"
-        else finding
-        for finding in findings
-    ]
 
 
 def remarks(dataset: Dataset) -> list[Finding]:
@@ -334,17 +327,13 @@ def _merged(findings: list[Finding]) -> Iterator[Finding]:
         if len(more) < 2:
             yield from (first, *others)
         else:
-            yield replace(first, message=f"{first.message} [likewise {_places(first.channel, list(more))}]")
-
-
-def _places(channel: str, more: Sequence[tuple[str, str]]) -> str:
-    """Where else something was found, as (channel, record) pairs; the channel is named where it is another one."""
-    if all(other == channel for other, _ in more):
-        return f"in {len(more)} more records: {_few([record for _, record in more])}"
-    records: dict[str, list[str]] = {}
-    for other, record in more:
-        records.setdefault(other, []).append(record)
-    return "; ".join(f"{other} in {_few(names)}" for other, names in records.items())
+            records: dict[str, list[str]] = {}
+            for channel, record in more:
+                records.setdefault(channel, []).append(record)
+            places = "; ".join(f"{channel} in {_few(names)}" for channel, names in records.items())
+            if list(records) == [first.channel]:  # else the channel is named
+                places = f"in {len(more)} more records: {_few(records[first.channel])}"
+            yield replace(first, message=f"{first.message} [likewise {places}]")
 
 
 def _few(names: Sequence[str]) -> str:

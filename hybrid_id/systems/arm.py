@@ -120,7 +120,15 @@ class Arm:
                 joint = points[part.point].joint if isinstance(part, Payload) else named[part.point]
                 if joint != own and f"link{joint + 1}" not in self._groups:
                     self._groups.append(f"link{joint + 1}")
-        self._refuse_twice(shared)
+        known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
+        for kind, point in known:
+            if known.count((kind, point)) > 1:
+                at, cure = f" at '{point}'" if point else "", "keep one of them"
+                if kind == GravityCompensation.kind and tree is not None and tree.believed is not None:
+                    cure = (
+                        f"the robot's file brings one at {tree.names[0]} by its gravcomp, so list yours there"
+                    )
+                raise InputError(f"{kind} is listed twice{at}; {cure}.")
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
                 raise InputError(
@@ -142,20 +150,6 @@ class Arm:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
-
-    def _refuse_twice(self, shared: Sequence[Shared]) -> None:
-        """Refuse what acts on all joints and is listed at several."""
-        tree = self.tree
-        known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
-        for kind, point in known:
-            if known.count((kind, point)) > 1:
-                at = f" at '{point}'" if point else ""
-                cure = "keep one of them"
-                if kind == GravityCompensation.kind and tree is not None and tree.believed is not None:
-                    cure = (
-                        f"the robot's file brings one at {tree.names[0]} by its gravcomp, so list yours there"
-                    )
-                raise InputError(f"{kind} is listed twice{at}; {cure}.")
 
     def _check_attached(self, key: str, part: Attached) -> None:
         """Refuse a part at a point that is not there, and a mass at a joint that does not carry it."""

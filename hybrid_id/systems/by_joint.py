@@ -176,10 +176,13 @@ def with_drive(whole: System, one: System) -> System:
         place = was.get(_what(part), key)
         if place not in parts or _sizes(parts[place]) == _sizes(before[place]):
             parts[place] = part
-    placed = [
-        (key.rpartition("/")[0], copy.deepcopy(cast(Component, part)))
-        for key, part in _with_common_delay_beside(parts).items()
-    ]
+    # a common dead time is listed at a joint that has none of its own, where there is one
+    common = next((key for key, part in parts.items() if isinstance(part, CommonDelay)), "")
+    delayed = _delayed(parts)
+    if common.split("/")[0] + "/" in delayed:
+        delay, free = parts.pop(common), sorted({key.split("/")[0] + "/" for key in parts} - delayed)
+        parts |= {free[0] + common.split("/", 1)[1]: delay} if free else {}
+    placed = [(k.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for k, part in parts.items()]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
 
 
@@ -190,17 +193,6 @@ def _sizes(part: object) -> dict[str, float]:
 def _delayed(parts: Mapping[str, Module] | ModuleDict) -> set[str]:
     """Joints, ``joint2/``, that have a delay of their own."""
     return {key.split("/")[0] + "/" for key, part in parts.items() if isinstance(part, Delay)}
-
-
-def _with_common_delay_beside(parts: Mapping[str, Module]) -> Mapping[str, Module]:
-    """Components whose common dead time is listed at a joint that has none of its own, where there is one."""
-    key = next((key for key, part in parts.items() if isinstance(part, CommonDelay)), "")
-    delayed = _delayed(parts)
-    if key.split("/")[0] + "/" not in delayed:
-        return parts
-    free = sorted({name.split("/")[0] + "/" for name in parts} - delayed)
-    moved = {free[0] + key.split("/", 1)[1]: parts[key]} if free else {}
-    return {name: part for name, part in parts.items() if name != key} | moved
 
 
 def _what(part: object) -> tuple[str, str]:

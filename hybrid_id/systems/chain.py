@@ -118,26 +118,22 @@ class System(nn.Module):
             for joint in self.joints
             for row in range(joint.positions[-1] + 2, joint.positions[0] + len(joint.state_names))
         ]
-        self.table = parameter_table(self.components, self.aliases, self._linear())
+        slides = {  # joints with a linear axis, and components that act along it
+            f"joint{number}": ratio
+            for number, ratio in zip(self._numbers, self.gear_ratio, strict=True)
+            if self.tree is not None and self.tree.joints[number - 1].kind == "slide"
+        }
+        linear = set[str]()
+        for key, part in self.components.items():
+            joint, place, _ = key.split("/")
+            if joint in slides and acts_along(type(cast(Component, part)), place, slides[joint]):
+                linear.add(key)
+        self.table = parameter_table(self.components, self.aliases, linear)
         self.estimated = [i for i, info in enumerate(self.table) if info.spec.estimate]
         parts = cast("dict[str, Component]", dict(self.components.items()))
         self.arm = Arm(self.joints, parts, self.tree, self.seats)
         with torch.no_grad():
             self.arm.check({key: cast(Component, part).view() for key, part in self.components.items()})
-
-    def _linear(self) -> set[str]:
-        """Components that act along a linear axis."""
-        slides: dict[str, float] = {}
-        if self.tree is not None:
-            for number, ratio in zip(self._numbers, self.gear_ratio, strict=True):
-                if self.tree.joints[number - 1].kind == "slide":
-                    slides[f"joint{number}"] = ratio
-        found = set()
-        for key, part in self.components.items():
-            joint, place, _ = key.split("/")
-            if joint in slides and acts_along(type(cast(Component, part)), place, slides[joint]):
-                found.add(key)
-        return found
 
     @property
     def learned(self) -> tuple[str, ...]:

@@ -331,7 +331,15 @@ class Drive:
 
     def state_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
-        found = self._loop_updates(x, u, p)
+        found: list[tuple[int, StateUpdate]] = []
+        key, loop = self.input
+        if self.stages and isinstance(loop, ServoLoop):
+            held, speed = self.hold(u, p), self._motion(x, p)[1]
+            channels, angle, _ = self._seen(x, held, p)
+            aim = loop.aim(p[key], {"goal": held[f"goal{self.number}"]})
+            error = loop.error(p[key], channels, angle)
+            for name, stage, row in self.stages:
+                found.append((row, stage.state_update(p[name], aim, error, speed, x[row])))
         if not self.windings:
             return found
         key, motor = self.motor
@@ -343,18 +351,6 @@ class Drive:
             found += [(row, StateUpdate(*pair)) for row, pair in zip(rows, pairs, strict=True)]
             torque = part.torque(p[key], torque, states)
         return found
-
-    def _loop_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
-        key, part = self.input
-        if not self.stages or not isinstance(part, ServoLoop):
-            return []
-        u, speed = self.hold(u, p), self._motion(x, p)[1]
-        channels, angle, _ = self._seen(x, u, p)
-        aim = part.aim(p[key], {"goal": u[f"goal{self.number}"]})
-        error = part.error(p[key], channels, angle)
-        return [
-            (row, stage.state_update(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
-        ]
 
 
 SIDE = {"motor_friction": "m", "link_friction": "a"}

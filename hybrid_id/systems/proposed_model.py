@@ -344,7 +344,13 @@ def _robot(
     for k, (drive, joint) in enumerate(zip(drives, joints, strict=True)):
         ratio = ratios[k] if ratios else 1.0
         start = _start(drive, sheet, ratio, (still.at_zero[k] + joint.armature) / ratio**2)
-        other_gains = _other_gains(drive, joint, _lag_of_same(drives, joints, joint))
+        # where its own does not show, the lag of joints with the same actuator and damping, the median
+        alike = [
+            one.lag
+            for one, other in zip(drives, joints, strict=True)
+            if one.lag and other.damping == joint.damping and _gains(other) == _gains(joint)
+        ]
+        other_gains = _other_gains(drive, joint, float(median(alike)) if alike else 0.0)
         own = joint.servo is not None and other_gains is None
         if drive.command == "goal" and sheet.servo:
             servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or REGISTER}
@@ -393,16 +399,6 @@ def _ask_of_gains(
         model.ask(
             f"How large is {name} of {', '.join(joints)}? Its start is from the logs or a placeholder: {cure}."
         )
-
-
-def _lag_of_same(drives: Sequence[DriveFacts], joints: Sequence[TreeJoint], own: TreeJoint) -> float:
-    """How late the angles of joints with the same actuator and damping are [s], the median; 0 where none shows it."""
-    lags = [
-        drive.lag
-        for drive, joint in zip(drives, joints, strict=True)
-        if drive.lag and joint.damping == own.damping and _gains(joint) == _gains(own)
-    ]
-    return float(median(lags)) if lags else 0.0
 
 
 def _gains(joint: TreeJoint) -> tuple[float, float] | None:
