@@ -258,13 +258,16 @@ def differentiate(
     if lowest > 0:
         margin = min(max(margin, int(np.ceil(1 / (lowest * sample_time)))), n_samples // 2)
     inside = (np.arange(n_samples) >= margin) & (np.arange(n_samples) < n_samples - margin)
-    return SpectralResult(
-        *derivatives,
-        valid=whole[..., None] | inside,
-        periodic=whole,
-        band=(lowest, highest),
-        message=_message(whole, steps, margin, sample_time),
-    )
+    message = "the record is a whole number of periods; every sample is valid"
+    if not np.all(whole):
+        seen = f" (steps up to {steps[0]:.2g} in value)" if np.isfinite(steps[0]) else ""
+        message = (
+            f"{np.size(whole) - np.sum(whole)} of {np.size(whole)} records do not close on themselves{seen}; a cubic "
+            "trend that carries the steps was differentiated apart, and the first and last "
+            f"{margin} samples ({margin * sample_time:.3g} s) are not to be trusted"
+        )
+    valid = whole[..., None] | inside
+    return SpectralResult(*derivatives, valid=valid, periodic=whole, band=(lowest, highest), message=message)
 
 
 def _low_pass(frequency: np.ndarray, edge: float, roll_off: float) -> np.ndarray:
@@ -305,15 +308,3 @@ def _noise_edge(y: np.ndarray, sample_time: float) -> float:
     above = np.flatnonzero(np.any(power > 10 * floor, axis=tuple(range(y.ndim - 1))))
     last = above[-1] if len(above) else 1
     return float(np.clip(1.25 * last / n_samples, 4 / n_samples, 0.4) / sample_time)
-
-
-def _message(whole: np.ndarray, steps: np.ndarray, margin: int, sample_time: float) -> str:
-    """What was done to the ends, in words."""
-    if np.all(whole):
-        return "the record is a whole number of periods; every sample is valid"
-    seen = f" (steps up to {steps[0]:.2g} in value)" if np.isfinite(steps[0]) else ""
-    return (
-        f"{np.size(whole) - np.sum(whole)} of {np.size(whole)} records do not close on themselves{seen}; a cubic "
-        "trend that carries the steps was differentiated apart, and the first and last "
-        f"{margin} samples ({margin * sample_time:.3g} s) are not to be trusted"
-    )

@@ -109,8 +109,16 @@ def find_pair(
                 "leave logs out in which it moves."
             )
         return None
-    rests = joint is not None and _rests(columns, evidence)
-    columns = [one for one in columns if not _still(one, evidence)]
+    # whether the joint's goal stands still in all logs, and so does its angle, nearly
+    goals = [one for one in columns if one.kind == "goal" or (one.command and one.kind in ("", "angle"))]
+    angles = [one for one in columns if one.kind == "angle" and not one.command]
+    rests = joint is not None and goals != [] and not any(_goes(one, evidence) for one in angles)
+    rests = rests and not any(evidence.moves(one.name) for one in goals)
+    moving = [one for one in columns if evidence.moves(one.name) or one.kind in ("supply", "gain", "enable")]
+    for one in columns:
+        if one not in moving:
+            evidence.leave(one.name, "stands still in all logs")
+    columns = moving
     kinds = kinds_of(columns, evidence)
     angle, speed = evidence.first(kinds, "angle"), evidence.first(kinds, "speed")
     # a robot whose file has a position loop there is told where to go, whatever else its controller logs
@@ -169,21 +177,6 @@ def choose_channels(pair: Pair, number: int, evidence: Evidence) -> None:
     evidence.proposal.inputs += work.inputs
     evidence.proposal.outputs += work.outputs
     evidence.proposal.drives.append(drive)
-
-
-def _rests(columns: Sequence[ColumnWords], evidence: Evidence) -> bool:
-    """Whether a joint's goal stands still in all logs, and so does its angle, nearly."""
-    goals = [one for one in columns if one.kind == "goal" or (one.command and one.kind in ("", "angle"))]
-    angles = [one for one in columns if one.kind == "angle" and not one.command]
-    still = not any(_goes(one, evidence) for one in angles)
-    return goals != [] and still and not any(evidence.moves(one.name) for one in goals)
-
-
-def _still(one: ColumnWords, evidence: Evidence) -> bool:
-    if evidence.moves(one.name) or one.kind in ("supply", "gain", "enable"):
-        return False
-    evidence.leave(one.name, "stands still in all logs")
-    return True
 
 
 def _drives(kinds: Kinds, kind: str, evidence: Evidence) -> ColumnWords | None:
@@ -337,8 +330,12 @@ class _Joint:
 
     def _side_by_motor(self) -> None:
         """Settle the angle's unit and side by the sheet's back-EMF constant, else its side by the joint's range."""
-        angle, drive = self.outputs[0], self.drive
-        found = self._by_back_emf()
+        angle, drive, sheet = self.outputs[0], self.drive, self.evidence.sheet
+        constant, found = sheet.back_emf_constant or sheet.torque_constant, None
+        if constant is not None and drive.command == "voltage" and angle.unit in ANGLE_FACTORS:
+            unsure = any(guess.about == f"unit of {angle.name}" and not guess.sure for guess in angle.guesses)
+            units = ("rad", "deg", "rev") if unsure else (angle.unit,)
+            found = side_and_unit(drive.fit, ANGLE_FACTORS[angle.unit], constant, self.gear, units)
         if found is not None and not (self.side_said and found[0] != drive.side):
             side, unit, words = found
             if unit != angle.unit:
@@ -359,16 +356,6 @@ class _Joint:
             f"Is '{angle.column}' the angle of the {here}? With a gear of {self.gear:g} and an encoder at the {there}, "
             f"call {now} {then} in dataset.yaml, and so its speed."
         )
-
-    def _by_back_emf(self) -> tuple[str, str, str] | None:
-        """Side, unit and evidence where the sheet knows the motor and the command is a voltage."""
-        sheet, angle = self.evidence.sheet, self.outputs[0]
-        constant = sheet.back_emf_constant or sheet.torque_constant
-        if constant is None or self.drive.command != "voltage" or angle.unit not in ANGLE_FACTORS:
-            return None
-        unsure = any(guess.about == f"unit of {angle.name}" and not guess.sure for guess in angle.guesses)
-        units = ("rad", "deg", "rev") if unsure else (angle.unit,)
-        return side_and_unit(self.drive.fit, ANGLE_FACTORS[angle.unit], constant, self.gear, units)
 
     def _change_unit(self, unit: str, words: str) -> None:
         angle = self.outputs[0]
@@ -402,12 +389,15 @@ class _Joint:
         self.firm = bool(column.unit or counted_unit(values))
         times = [self.evidence.time(log) for log in logs]
         geared = self.drive.side == "m" and self.evidence.sheet.gear_ratio is None
+        joint = self.joint  # with its range as the angle sees it, where its name says that it is the motor's
+        if joint is not None and self.side_said and not joint.slide:
+            joint = replace(joint, low=joint.low * self.ratio, high=joint.high * self.ratio)
         guess = angle_unit(
             values,
             times,
             f"unit of {name}",
             column.unit,
-            self._seen_joint(),
+            joint,
             ratio,
             speed.unit if speed else "",
             counts,
@@ -436,13 +426,6 @@ class _Joint:
                     "needs the scale of each joint in 'columns'.",
                 )
         self.outputs.append(chosen)
-
-    def _seen_joint(self) -> JointFacts | None:
-        """The joint with its range as the angle sees it, where its name says that it is the motor's."""
-        joint = self.joint
-        if joint is None or not self.side_said or joint.slide:
-            return joint
-        return replace(joint, low=joint.low * self.ratio, high=joint.high * self.ratio)
 
     def _ask_unit(self, chosen: Chosen, guess: Guess) -> None:
         entry = f"{chosen.name}: {{column: {chosen.column}, unit: ..., scale: ...}}"
@@ -577,7 +560,9 @@ class _Joint:
             chosen.unit, chosen.scale, chosen.factor = angle.unit, abs(angle.scale), abs(angle.factor)
         else:
             self._scale_angle(chosen, guess.value)
-        if angle is not None and angle.unwrap and self._jumps(column, angle.unwrap):
+        steps = [np.abs(np.diff(log.columns[column.name])) for log in self.evidence.logs]
+        largest = max((float(step.max()) for step in steps if step.size), default=0.0)
+        if angle is not None and angle.unwrap and largest > 0.8 * angle.unwrap:
             self.evidence.ask(
                 f"The goal '{column.name}' jumps by a whole turn as '{angle.column}' does, which cannot be undone "
                 "alike for both: is there a goal without jumps? Sign, zero and delay are not to be trusted until then."
@@ -586,16 +571,6 @@ class _Joint:
             self.evidence.ask(
                 f"In which unit is the goal '{column.name}'? It is taken in {chosen.unit}: {guess.evidence}."
             )
-
-    def _whole(self, column: ColumnWords) -> bool:
-        """Whether a column holds whole numbers alone, as counters and timers do."""
-        logs = self.evidence.liveliest(column.name, 3)
-        return all(bool(np.all(np.mod(log.columns[column.name], 1.0) == 0.0)) for log in logs)
-
-    def _jumps(self, column: ColumnWords, turn: float) -> bool:
-        """Whether a column jumps by nearly a turn, in the file's numbers."""
-        steps = [np.abs(np.diff(log.columns[column.name])) for log in self.evidence.logs]
-        return max((float(step.max()) for step in steps if step.size), default=0.0) > 0.8 * turn
 
     def _duty(self, chosen: Chosen, column: ColumnWords) -> None:
         """A duty with a logged supply stays one; with a constant supply it is a voltage."""
@@ -606,9 +581,10 @@ class _Joint:
         )
         top = next((top for top in DUTY_TOPS if far <= 1.001 * top), far)
         words = f"values up to {far:.4g}: {top:g} is full duty"
-        said = top == 1.0 or (
-            top == 100.0 and (column.unit == "%" or not self._whole(column) or far > 0.98 * top)
-        )
+        # counters and timers hold whole numbers alone
+        logs = self.evidence.liveliest(column.name, 3)
+        whole = all(bool(np.all(np.mod(log.columns[column.name], 1.0) == 0.0)) for log in logs)
+        said = top == 1.0 or (top == 100.0 and (column.unit == "%" or not whole or far > 0.98 * top))
         if not said:
             self.evidence.ask(
                 f"Which value of '{column.name}' is full duty? {top:g} is assumed, for it goes up to {far:.4g}."

@@ -4,7 +4,7 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -101,7 +101,18 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
             raise InputError(
                 f"{path} has none of the keys that are read here ({', '.join(known)}); give the right file"
             ) from None
-        faults = _to_tell(error.errors(include_url=False))
+        # one fault for a key, without missing keys beside which an unknown one has nearly their name: it is the fault
+        every, unknown = error.errors(include_url=False), dict[tuple[str | int, ...], list[str]]()
+        for fault in every:
+            if fault["type"] == "extra_forbidden":
+                unknown.setdefault(fault["loc"][:-1], []).append(str(fault["loc"][-1]))
+        told = [
+            fault
+            for fault in every
+            if fault["type"] != "missing"
+            or not difflib.get_close_matches(str(fault["loc"][-1]), unknown.get(fault["loc"][:-1], []), n=1)
+        ]
+        faults = list({_place(fault): fault for fault in reversed(told)}.values())[::-1]  # the first of a key
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
 
@@ -260,21 +271,6 @@ def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) 
             _refuse_truth_as_number(one, other, f"{key}[{i}]", path)
 
 
-def _to_tell(faults: Sequence[Any]) -> list[Any]:
-    """One fault for a key, without missing keys beside which an unknown one has nearly their name: it is the fault."""
-    unknown: dict[tuple[str | int, ...], list[str]] = {}
-    for fault in faults:
-        if fault["type"] == "extra_forbidden":
-            unknown.setdefault(fault["loc"][:-1], []).append(str(fault["loc"][-1]))
-    told = [
-        fault
-        for fault in faults
-        if fault["type"] != "missing"
-        or not difflib.get_close_matches(str(fault["loc"][-1]), unknown.get(fault["loc"][:-1], []), n=1)
-    ]
-    return list({_place(fault): fault for fault in reversed(told)}.values())[::-1]  # one of a key, the first
-
-
 def _place(fault: Any) -> tuple[str | int, ...]:
     """Keys that lead to a fault, without the kinds of value that the last one may have."""
     place = fault["loc"]
@@ -290,8 +286,16 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     if fault["type"] == "missing":
         return f"key '{key}' is missing; add it"
     if fault["type"] == "extra_forbidden":
-        name, beside = str(fault["loc"][-1]), _keys_beside(schema, fault["loc"])
-        others = [known for known in _all_keys(schema) if known != name]  # right in another section
+        name, models = str(fault["loc"][-1]), [schema]
+        for above in (part for part in fault["loc"][:-1] if isinstance(part, str)):
+            fields = [model.model_fields[above] for model in models if above in model.model_fields]
+            models = [model for field in fields for model in _models(field.annotation)]
+        beside = [known for model in models for known in model.model_fields]
+        parts = schema.model_json_schema()
+        everywhere = {
+            k for part in (parts, *parts.get("$defs", {}).values()) for k in part.get("properties", {})
+        }
+        others = sorted(everywhere - {name})  # right in another section
         if len(fault["loc"]) == 1 and (instead := getattr(schema, "instead", {}).get(name)):
             return f"key '{key}' is unknown; {instead}"
         close = difflib.get_close_matches(name, beside, n=1) or difflib.get_close_matches(name, others, n=1)
@@ -311,25 +315,8 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     return f"key '{key}': {words[0].lower()}{words[1:]}{'' if isinstance(fault['input'], Mapping) else found}"
 
 
-def _keys_beside(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
-    """List the keys of the model that holds an unknown one, by way of the keys above it."""
-    models: list[type[BaseModel]] = [schema]
-    for name in (part for part in place[:-1] if isinstance(part, str)):
-        fields = [model.model_fields[name] for model in models if name in model.model_fields]
-        models = [model for field in fields for model in _models(field.annotation)]
-    return [key for model in models for key in model.model_fields]
-
-
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """The models in a type, those of its arguments too."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]
-
-
-def _all_keys(schema: type[BaseModel]) -> list[str]:
-    """List the keys that a model and those inside it know."""
-    parts = schema.model_json_schema()
-    return sorted(
-        {key for part in (parts, *parts.get("$defs", {}).values()) for key in part.get("properties", {})}
-    )

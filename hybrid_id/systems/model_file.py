@@ -69,12 +69,12 @@ def build_model(file: ModelFile, path: str = "model") -> System:
     return _known(file, path) if file.robot is None else _robot(file, file.robot, path)
 
 
-def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
+def _robot(file: ModelFile, described: RobotEntry, path: str) -> System:
     """Drives at the joints of a robot's description; what the file lists takes the place of their usual parts."""
-    tree = load_tree(Path(path).parent / entry.file)
-    if entry.hold:
+    tree = load_tree(Path(path).parent / described.file)
+    if described.hold:
         try:
-            tree = tree.holding(entry.hold)
+            tree = tree.holding(described.hold)
         except InputError as error:
             raise InputError(f"{path}: robot.hold: {error}") from None
     try:
@@ -91,7 +91,7 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
         key = "parameters" if file.parameters else "gravity"
         raise InputError(
             f"{path}: '{key}' belongs to the systems {', '.join(FLAT)}; a robot's masses and gravity stand in "
-            f"{entry.file}, its drives under 'components'."
+            f"{described.file}, its drives under 'components'."
         )
     listed = []
     for k, one in enumerate(file.components):
@@ -99,7 +99,14 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
         joint, _, place = one.place.rpartition("/")
         number = tree.names.index(joint)
         if tree.joints[number].kind == "slide" and acts_along(REGISTRY[one.kind], place, ratios[number]):
-            one = _of_turning(one)
+            # with the units of its law in place of those of the linear axis; the values are the same
+            declared = REGISTRY[one.kind].declared
+            own = {
+                symbol: entry.model_copy(update={"unit": declared[symbol].unit})
+                for symbol, entry in one.parameters.items()
+                if symbol in declared and entry.unit == linear_unit(declared[symbol].unit)
+            }
+            one = one.model_copy(update={"parameters": one.parameters | own})
         listed.append(one.model_copy(update={"place": f"joint{number + 1}/{place}"}))
     file = file.model_copy(update={"components": listed, "gear_ratio": ratios})
     usual = robot(tree, ratios)
@@ -275,17 +282,6 @@ def _placed_kind(entry: ComponentEntry, k: int, joints: Sequence[str], path: str
     except InputError as error:
         raise InputError(f"{path}: key 'components[{k}].place': {error}") from None
     return REGISTRY[entry.kind]
-
-
-def _of_turning(entry: ComponentEntry) -> ComponentEntry:
-    """A component at a linear axis with the units of its law in place of those of the axis; the values are the same."""
-    declared = REGISTRY[entry.kind].declared
-    own = {
-        symbol: one.model_copy(update={"unit": declared[symbol].unit})
-        for symbol, one in entry.parameters.items()
-        if symbol in declared and one.unit == linear_unit(declared[symbol].unit)
-    }
-    return entry.model_copy(update={"parameters": entry.parameters | own})
 
 
 def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: str) -> Bounded:
