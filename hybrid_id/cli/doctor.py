@@ -50,23 +50,19 @@ def doctor(
         from hybrid_id.study.ahead import compile_ahead
 
         remark(f"compiled ahead: {count(compile_ahead(), 'system')}")
-    state = {"machine": machine(), "packages": packages(), "self_test": _tried()}
+    from hybrid_id.paper.demo import self_test
+
+    try:
+        tried = self_test()
+    except (ImportError, InputError, RuntimeError) as error:  # a package that is missing, say
+        tried = {"passed": False, "off": [], "error": f"{type(error).__name__}: {error}"}
+    state = {"machine": machine(), "packages": packages(), "self_test": tried}
     if as_json:
         show_json("doctor", state)
     else:
         _say(state)
     if not state["self_test"]["passed"]:
         raise typer.Exit(1)
-
-
-def _tried() -> dict[str, Any]:
-    """The self-test, or what kept it from its end: a package that is missing, say."""
-    from hybrid_id.paper.demo import self_test
-
-    try:
-        return self_test()
-    except (ImportError, InputError, RuntimeError) as error:
-        return {"passed": False, "off": [], "error": f"{type(error).__name__}: {error}"}
 
 
 def machine() -> dict[str, Any]:

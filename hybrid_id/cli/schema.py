@@ -1,17 +1,14 @@
 """`schema`: what a settings file may hold, as a JSON schema for editors."""
 
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import ABOVE, ForceFilesOption
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
 
 
 def schema(
@@ -49,7 +46,10 @@ def schema_text(kind: str) -> str:
 
     from hybrid_id.records.yaml_file import editor_schema
 
-    return json.dumps(editor_schema(MODELS[kind]()), indent=1, ensure_ascii=False)
+    if kind == "model":
+        import hybrid_id.components  # noqa: F401  # registers its kinds
+    module, name = MODELS[kind]
+    return json.dumps(editor_schema(getattr(import_module(module), name)), indent=1, ensure_ascii=False)
 
 
 def schema_line(path: str) -> str:
@@ -57,34 +57,10 @@ def schema_line(path: str) -> str:
     return f"# yaml-language-server: $schema={path}"
 
 
-def _dataset() -> "type[BaseModel]":
-    from hybrid_id.records.schema import DatasetFile
-
-    return DatasetFile
-
-
-def _model() -> "type[BaseModel]":
-    import hybrid_id.components  # noqa: F401  # registers its kinds
-    from hybrid_id.systems.model_schema import ModelFile
-
-    return ModelFile
-
-
-def _study() -> "type[BaseModel]":
-    from hybrid_id.config import StudyConfig
-
-    return StudyConfig
-
-
-def _motor() -> "type[BaseModel]":
-    from hybrid_id.records.proposal_parts import MotorSheet
-
-    return MotorSheet
-
-
-MODELS: dict[str, Callable[[], Any]] = {
-    "dataset": _dataset,
-    "model": _model,
-    "study": _study,
-    "motor": _motor,
+MODELS = {
+    "dataset": ("hybrid_id.records.schema", "DatasetFile"),
+    "model": ("hybrid_id.systems.model_schema", "ModelFile"),
+    "study": ("hybrid_id.config", "StudyConfig"),
+    "motor": ("hybrid_id.records.proposal_parts", "MotorSheet"),
 }
+"""Module and class of each kind of file, imported where it is asked for."""

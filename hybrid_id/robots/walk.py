@@ -169,7 +169,10 @@ class _Walk:
             for folder in self.folders["texture" if tag == "texture" else "mesh"]:
                 # MuJoCo steps back by the name alone, whether the folders in it are there or not
                 place = self.main.parent / os.path.normpath(Path(folder, own))
-                if not _is_there(place):
+                try:
+                    if not os.path.lexists(place):
+                        continue
+                except ValueError:  # no file can have that name
                     continue
                 self._inside(place, f"{self.main}: the file {name} of a <{tag}>")
                 if not place.is_dir() and size_of(place) > LARGEST_MESH:
@@ -179,13 +182,6 @@ class _Walk:
 
     def _inside(self, place: Path, what: str) -> None:
         refuse_outside(place, self.main.parent, what, "bring it there, or take it out")
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return os.path.lexists(path)
-    except ValueError:  # no file can have that name
-        return False
 
 
 def _senseless(key: str, words: str) -> str:
