@@ -103,7 +103,10 @@ class _Kinds:
             return
         log = self.evidence.longest()
         silent = [one for one in self.open if not one.command]
-        rough = {one.name: _roughness(log.columns[one.name]) for one in silent}
+        rough = {}  # standard deviation of the steps over that of the values
+        for one in silent:
+            values = log.columns[one.name]
+            rough[one.name] = float(np.std(np.diff(values))) / max(float(np.std(values)), 1e-300)
         if silent and len(silent) + any(self.kinds.get(kind) for kind in INPUTS) >= 2:
             smooth = min(silent, key=lambda one: rough[one.name])
             words = f"the smoothest column: steps of {rough[smooth.name]:.2g} of its deviation"
@@ -162,8 +165,3 @@ class _Kinds:
             f"Is '{best.name}' what acts on the drive? Correlations with the change of speed: {listed}."
         )
         return best
-
-
-def _roughness(values: np.ndarray) -> float:
-    """Standard deviation of the steps over that of the values."""
-    return float(np.std(np.diff(values))) / max(float(np.std(values)), 1e-300)

@@ -71,9 +71,16 @@ class Dataset:
                         f"{record.title} has {kind} {sorted(has)} where {where} has {sorted(needs)}"
                     )
             if self.sample_time is not None and not keeps_step(record, self.sample_time):
+                steps, advice = np.diff(record.time), ""
+                least, most = f"{steps.min():.6g}", f"{steps.max():.6g}"
+                apart = least if least == most else f"{least} to {most}"
+                for unit, factor in {"ms": 1e3, "us": 1e6}.items():
+                    if abs(record.sample_time / (factor * self.sample_time) - 1) < 0.1:
+                        entry = f"'t: {{column: t, unit: {unit}}}'"
+                        advice = f"if they are in {unit}, set {entry} under 'columns'; otherwise "
                 raise InputError(
-                    f"{record.title}: its stamps are {_steps(record)}, but sample_time is {self.sample_time:g} s; "
-                    f"{_other_unit(record, self.sample_time)}correct or remove sample_time, or set 'resample: true'"
+                    f"{record.title}: its stamps are {apart} s apart, but sample_time is {self.sample_time:g} s; "
+                    f"{advice}correct or remove sample_time, or set 'resample: true'"
                 )
 
     def __len__(self) -> int:
@@ -198,17 +205,3 @@ class Dataset:
             write_dataset(self, complete)
             complete.replace(path)
         return path
-
-
-def _other_unit(record: Record, sample_time: float) -> str:
-    """Advice where stamps in another unit would explain the step."""
-    for unit, factor in {"ms": 1e3, "us": 1e6}.items():
-        if abs(record.sample_time / (factor * sample_time) - 1) < 0.1:
-            return f"if they are in {unit}, set 't: {{column: t, unit: {unit}}}' under 'columns'; otherwise "
-    return ""
-
-
-def _steps(record: Record) -> str:
-    steps = np.diff(record.time)
-    least, most = f"{steps.min():.6g}", f"{steps.max():.6g}"
-    return f"{least} s apart" if least == most else f"{least} to {most} s apart"

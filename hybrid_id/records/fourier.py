@@ -9,7 +9,6 @@ import numpy as np
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.derivatives import differentiate
-from hybrid_id.records.record import Record
 
 
 def fourier(dataset: Dataset, band: tuple[float, float] | None = None, *, speeds: bool = False) -> Dataset:
@@ -31,29 +30,27 @@ def fourier(dataset: Dataset, band: tuple[float, float] | None = None, *, speeds
     found = [Channel(f"v{channel.name[1:]}", f"{channel.unit}/s") for channel in angles] if speeds else []
     added = tuple(channel for channel in found if channel.name not in known)
     new = {channel.name for channel in added}
-    records = tuple(
-        _filtered(record, [channel.name for channel in angles], band, new) for record in dataset.records
-    )
-    return replace(dataset, outputs=(*dataset.outputs, *added), records=records)
-
-
-def _filtered(record: Record, angles: list[str], band: tuple[float, float] | None, new: set[str]) -> Record:
-    if not record.is_uniform:
-        raise InputError(f"{record.title}: the Fourier transform needs uniform stamps; add 'resample: true'")
-    outputs, valid = dict(record.outputs), np.ones(record.n_samples, bool)
-    for name in angles:
-        try:
-            result = differentiate(record.outputs[name], record.sample_time, band=band)
-        except InputError as error:
-            raise InputError(f"{record.title}: {name}: {error}") from None
-        outputs[name] = result.position
-        if (speed := f"v{name[1:]}") in new:
-            outputs[speed] = result.velocity
-        valid &= result.valid
-    kept = np.flatnonzero(valid)
-    if len(kept) < 2:
-        raise InputError(
-            f"{record.title}: too short for the Fourier transform, which rings in all of it; leave it out"
-        )
-    first, last = (float(record.time[k]) for k in kept[[0, -1]])
-    return replace(record, outputs=outputs).between(first, last)
+    records = []
+    for record in dataset.records:
+        if not record.is_uniform:
+            raise InputError(
+                f"{record.title}: the Fourier transform needs uniform stamps; add 'resample: true'"
+            )
+        outputs, valid = dict(record.outputs), np.ones(record.n_samples, bool)
+        for name in (channel.name for channel in angles):
+            try:
+                result = differentiate(record.outputs[name], record.sample_time, band=band)
+            except InputError as error:
+                raise InputError(f"{record.title}: {name}: {error}") from None
+            outputs[name] = result.position
+            if (speed := f"v{name[1:]}") in new:
+                outputs[speed] = result.velocity
+            valid &= result.valid
+        kept = np.flatnonzero(valid)
+        if len(kept) < 2:
+            raise InputError(
+                f"{record.title}: too short for the Fourier transform, which rings in all of it; leave it out"
+            )
+        first, last = (float(record.time[k]) for k in kept[[0, -1]])
+        records.append(replace(record, outputs=outputs).between(first, last))
+    return replace(dataset, outputs=(*dataset.outputs, *added), records=tuple(records))

@@ -52,7 +52,25 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
                 raise InputError(
                     f"{path} has no column '{name}', so it is no LeRobot episode; give its 'format'"
                 )
-        columns = _fields(path, wanted, file.schema_arrow, info, source)
+        # field of the file and element for each wanted column but the time
+        places: dict[str, tuple[str, int]] = {}
+        available = ["t"]
+        for name, names in _numbers(file.schema_arrow, info, source):
+            if names is None:
+                available.append(name)
+                places[name] = (name, 0)
+                continue
+            available += [f"{name}/{element}" for element in names] or [f"{name}/0"]
+            prefix = f"{name}/"
+            for column in (column for column in wanted if column.startswith(prefix)):
+                element = column.removeprefix(prefix)
+                if element in names:
+                    places[column] = (name, names.index(element))
+                elif element.isascii() and element.isdecimal() and len(element) <= 3:
+                    places[column] = (name, int(element))
+        missing = [column for column in wanted if column not in places and column != "t"]
+        require_columns(path, missing, available)
+        columns = {column: places[column] for column in wanted if column != "t"}
         found = _rows(path, file, sorted({_FRAME, *(field for field, _ in columns.values())}), episode)
     fps = info.get("fps")
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
@@ -117,30 +135,6 @@ def _read_info(path: Path) -> tuple[dict[str, Any], Path]:
     if not isinstance(info, dict):
         raise InputError(f"{source} is no description of a LeRobot dataset; bring it again")
     return info, source
-
-
-def _fields(
-    path: Path, wanted: Collection[str], schema: "pa.Schema", info: Mapping[str, Any], source: Path
-) -> dict[str, tuple[str, int]]:
-    """Field of the file and element for each wanted column but the time."""
-    found: dict[str, tuple[str, int]] = {}
-    available = ["t"]
-    for name, names in _numbers(schema, info, source):
-        if names is None:
-            available.append(name)
-            found[name] = (name, 0)
-            continue
-        available += [f"{name}/{element}" for element in names] or [f"{name}/0"]
-        prefix = f"{name}/"
-        for column in (column for column in wanted if column.startswith(prefix)):
-            element = column.removeprefix(prefix)
-            if element in names:
-                found[column] = (name, names.index(element))
-            elif element.isascii() and element.isdecimal() and len(element) <= 3:
-                found[column] = (name, int(element))
-    missing = [column for column in wanted if column not in found and column != "t"]
-    require_columns(path, missing, available)
-    return {column: found[column] for column in wanted if column != "t"}
 
 
 def _numbers(
