@@ -2,13 +2,16 @@
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import ABOVE, ForceFilesOption
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 
 def schema(
@@ -46,10 +49,15 @@ def schema_text(kind: str) -> str:
 
     from hybrid_id.records.yaml_file import editor_schema
 
+    return json.dumps(editor_schema(model_of(kind)), indent=1, ensure_ascii=False)
+
+
+def model_of(kind: str) -> "type[BaseModel]":
+    """The pydantic model of a kind of file."""
     if kind == "model":
         import hybrid_id.components  # noqa: F401  # registers its kinds
     module, name = MODELS[kind]
-    return json.dumps(editor_schema(getattr(import_module(module), name)), indent=1, ensure_ascii=False)
+    return getattr(import_module(module), name)
 
 
 def schema_line(path: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from hybrid_id.cli.schema import MODELS, schema_line, schema_text
+from hybrid_id.cli.schema import MODELS, model_of, schema_line, schema_text
 
 jsonschema = pytest.importorskip("jsonschema")
 ROOT = Path(__file__).parents[2]
@@ -30,7 +30,7 @@ def settings() -> list[tuple[str, Path]]:
     for path in SETTINGS:
         values = yaml.safe_load(path.read_text())
         for kind, keys in KIND_BY_KEYS.items():
-            if keys <= values.keys() and not set(values) - set(MODELS[kind]().model_fields):
+            if keys <= values.keys() and not set(values) - set(model_of(kind).model_fields):
                 found.append((kind, path))
     return found
 
