@@ -62,20 +62,14 @@ def words_of(command: str | None) -> list[str]:
         raise InputError(f"--command {command} cannot be read ({error}); correct its quotes") from None
 
 
-def digest_of(command: str | None) -> str:
+def digest_of(command: str) -> str:
     """Hash of the files that a command names, the program's own among them: a changed program is another method."""
     found = hashlib.sha256()
-    for word in words_of(command) if command is not None else []:
+    for word in words_of(command):
         file = Path(shutil.which(word) or word)
         if file.is_file():
             found.update(file.read_bytes())
     return found.hexdigest()
-
-
-def refuse_missing(program: str) -> None:
-    """Refuse a program that this machine does not have, before any case is taken."""
-    if shutil.which(program) is None:
-        raise InputError(f"--command: {program} is not a program that can be run from here; give its path")
 
 
 def external(folder: Path, command: str | None) -> dict[str, Any]:

@@ -60,13 +60,13 @@ class Settings:
     digest: str | None = None
 
 
-def read_cases(folder: Path, manifest: Mapping[str, Any], names: Sequence[str] | None = None) -> list[Case]:
-    """The cases of a folder, all or some of them, as they were made.
+def read_cases(folder: Path, manifest: Mapping[str, Any]) -> list[Case]:
+    """The cases of a folder, as they were made.
 
     Raises:
         InputError: the files of one have changed since they were sealed.
     """
-    found = [read_case(folder / name) for name in (manifest["names"] if names is None else names)]
+    found = [read_case(folder / name) for name in manifest["names"]]
     for case in found:
         if manifest.get("digests", {}).get(case.name, case.digest) != case.digest:
             raise InputError(

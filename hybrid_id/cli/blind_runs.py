@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 import shlex
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -133,7 +134,7 @@ def run_methods(
     command: str | None = None,
 ) -> int:
     """Let methods diagnose the cases one after the other; returns how many cases broke."""
-    from hybrid_id.baselines.external import digest_of, refuse_missing, words_of
+    from hybrid_id.baselines.external import digest_of, words_of
     from hybrid_id.baselines.keep import begin, is_done, key_of, load, save
     from hybrid_id.baselines.run import METHODS, Settings, read_cases, run_cases
     from hybrid_id.machines.seal import case_names, read_manifest, refuse_reachable
@@ -146,8 +147,10 @@ def run_methods(
         if train_records is not None:
             raise InputError("an external baseline takes cases as they are; leave --train-records out")
         program = words_of(command)[0]
-        if scheduler is None:
-            refuse_missing(program)
+        if scheduler is None and shutil.which(program) is None:
+            raise InputError(
+                f"--command: {program} is not a program that can be run from here; give its path"
+            )
     manifest = read_manifest(cases)
     refuse_reachable(cases, out, manifest)
     if missing := sorted(set(manifest["names"]) ^ set(case_names(cases))):

@@ -7,7 +7,6 @@ they would with all their effects.
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -64,7 +63,13 @@ def draw_arm_case(
         if not kinds:
             return None
         lead = kinds[rng.integers(len(kinds))].draw(rng, arm, int(rng.integers(joints)))  # type: ignore[arg-type]
-    small = _draw_small(rng, arm, lead) if lead else [[] for _ in range(joints)]
+    small: list[list[Effect]] = [[] for _ in range(joints)]
+    if lead:
+        mild = [k for kinds in CATALOGUE.values() for k in kinds if issubclass(k, ArmEffect) and k.fits(arm)]
+        grown, about = float(np.exp(rng.uniform(*np.log(GROWN)))), (lead.name, lead.joint)
+        for k in range(joints):
+            ones = [kind.small(rng, arm, k, grown) for kind in mild]
+            small[k] = [one for one in ones if one and (one.name, one.joint) != about]
     effects = [*(one for own in small for one in own), *([lead] if lead else [])]
     spread = rng.uniform(*SPREAD, (joints, 1))
     drift = 1.0 + spread * np.clip(rng.standard_normal((joints, TRAIN + 1)), -2.0, 2.0)
@@ -79,25 +84,88 @@ def draw_arm_case(
         model={"robot": {"file": "arm.xml"}},
         files={"arm.xml": described.description()},
     )
-    graded = _graded(rng, case, described, lead, small, moved)
-    if graded is not None:
-        graded.more["messy"]["drift_of_friction"] = [short(one) for one in drift.std(axis=1)]
-    return graded
+    at = lead.joint if lead else 0
+    shares = [sum(one.values["mass"] for one in own if isinstance(one, LinkMass)) for own in small]
+    nominal_load = moved.carried(arm, [0.0] * joints)
+    loads = Loads(
+        nominal_load,
+        moved.carried(arm, shares) - nominal_load,
+        moved.carried(arm, [float(k == at) for k in range(joints)]) - nominal_load,
+    )
+    felt = [] if lead is None else arm.carriers(at) if isinstance(lead, LinkMass) else [at]
+    trials, nominal, base, floor, leads = [], [], [], [], {}
+    for k in range(joints):
+        own = [lead] if lead and k in felt else []
+        beside = [one for one in small[k] if not isinstance(one, LinkMass)]
+        joint = JointTrials(arm, k, [*own, *beside, *([Masses(k, {})] if small[k] else [])], moved, loads)
+        whole, nothing = (1.0,) * len(joint.effects), (0.0,) * len(joint.effects)
+        values = {name: float(described.values[name]) for name in joint.true}
+        nominal += joint.errors([Simulator(0, nothing, values)], joint.measured)
+        starts = [Simulator(0, nothing, joint.true), Simulator(0, whole, joint.true)]
+        if lead and own:
+            shapes = {(0, key): float(lead.values[key]) for key in lead.shapes}
+            free = () if lead.name == UNKNOWN else (0,)
+            starts.append(
+                Simulator(0, (1.0, *nothing[1:]), joint.true, shapes, free, tuple(shapes) if free else ())
+            )
+        first, full, *having = joint.fit(starts, joint.measured, rounds=ROUNDS)
+        base, floor, trials = [*base, first], [*floor, full], [*trials, joint]
+        leads |= dict.fromkeys([k] if having else [], *having)
 
+    def gap(of: str) -> float:
+        return sum(max(t.gap(b, of) - t.gap(f, of), 0.0) for t, b, f in zip(trials, base, floor, strict=True))
 
-def _draw_small(rng: np.random.Generator, arm: Arm, lead: Effect) -> list[list[Effect]]:
-    """The small effects of every joint."""
-    kinds = [
-        kind
-        for kinds in CATALOGUE.values()
-        for kind in kinds
-        if issubclass(kind, ArmEffect) and kind.fits(arm)
-    ]
-    grown, found = float(np.exp(rng.uniform(*np.log(GROWN)))), []
-    for k in range(arm.joints):
-        ones = [kind.small(rng, arm, k, grown) for kind in kinds]
-        found.append([one for one in ones if one and (one.name, one.joint) != (lead.name, lead.joint)])
-    return found
+    def closes(of: str) -> float:
+        closed = sum(trials[k].gap(base[k], of) - trials[k].gap(one, of) for k, one in leads.items())
+        return round(float(closed / max(gap(of), 1e-300)), 4)
+
+    def error(fits: Sequence[Simulator]) -> float:
+        return float(np.mean([one.test for one in fits]))
+
+    with_lead = [leads.get(k, one) for k, one in enumerate(base)]
+    oracle = error(nominal), error(base), error(with_lead), error(floor)
+    drives = "servo" if arm.servo else "torque"
+    more = {
+        "messy": {
+            "dominant_outside": lead is not None and lead.name == UNKNOWN,
+            "drift_of_friction": [short(one) for one in drift.std(axis=1)],
+        },
+        "arm": {"joints": joints, "drives": drives, "noise": short(arm.noise)},
+    }
+    volts_and_angles = Measured(moved.volts, moved.measured)
+    if lead is None:
+        graded = Graded(case, volts_and_angles, *oracle, "none", more=more)
+        return graded if oracle[0] >= PLAIN * oracle[1] else None
+    ratio = base[at].test / floor[at].test
+    if not ratio >= PLAIN or not min(closes("train"), closes("test")) >= DOMINANT:
+        return None
+    parts = []
+    for k, joint in enumerate(trials):
+        for i, one in enumerate(joint.effects):
+            if one is lead:
+                continue
+            sizes = tuple(float(j != i) for j in range(len(joint.effects)))
+            fit = joint.fit([Simulator(0, sizes, floor[k].values)], joint.measured, rounds=ROUNDS)[0]
+            share = float((joint.gap(fit, "train") - joint.gap(floor[k], "train")) / gap("train"))
+            if closes("train") < TWICE * share:
+                return None
+            lift = float(np.sqrt(joint.gap(fit, "train") / joint.gap(floor[k], "train"))) - 1.0
+            if lift >= SEEN:
+                if isinstance(one, Masses):
+                    one = next((e for e in small[k] if isinstance(e, LinkMass)), LinkMass(k, {"mass": 0.0}))
+                told = {
+                    "share_train": round(share, 4),
+                    "closes_train": round(share, 4),
+                    "lift": round(lift, 3),
+                }
+                parts.append(Part(one, (), {"role": "small", **told}))
+    rivals = find_rivals(rng, trials[at], trials[at].measured, base[at], leads[at], 0, on_train=True)
+    if lead.name == UNKNOWN and any(1.0 - rival.rest > IMITATED for rival in rivals):
+        return None
+    closed = {"share": closes("test"), "closes": closes("test")}
+    closed |= {"share_train": closes("train"), "closes_train": closes("train")}
+    parts.insert(0, Part(lead, rivals, {"role": "dominant", **closed}))
+    return Graded(case, volts_and_angles, *oracle, level_of(ratio), parts, more=more)
 
 
 def _campaign(rng: np.random.Generator, arm: Arm) -> Campaign:
@@ -162,94 +230,3 @@ def _moved(arm: Arm, effects: Sequence[Effect], drift: np.ndarray, campaign: Cam
         np.array(speeds)[kept],
         trace[:, kept],
     )
-
-
-def _graded(
-    rng: np.random.Generator,
-    case: Case,
-    described: Arm,
-    lead: Effect | None,
-    small: list[list[Effect]],
-    moved: Moved,
-) -> Graded | None:
-    """The case by the fits of its joints; None where the dominant effect does not dominate, or a name imitates it."""
-    arm: Any = case.robot
-    joints, at = arm.joints, lead.joint if lead else 0
-    shares = [sum(one.values["mass"] for one in own if isinstance(one, LinkMass)) for own in small]
-    nominal_load = moved.carried(arm, [0.0] * joints)
-    loads = Loads(
-        nominal_load,
-        moved.carried(arm, shares) - nominal_load,
-        moved.carried(arm, [float(k == at) for k in range(joints)]) - nominal_load,
-    )
-    felt = [] if lead is None else arm.carriers(at) if isinstance(lead, LinkMass) else [at]
-    trials, nominal, base, floor, leads = [], [], [], [], {}
-    for k in range(joints):
-        own = [lead] if lead and k in felt else []
-        beside = [one for one in small[k] if not isinstance(one, LinkMass)]
-        joint = JointTrials(arm, k, [*own, *beside, *([Masses(k, {})] if small[k] else [])], moved, loads)
-        whole, nothing = (1.0,) * len(joint.effects), (0.0,) * len(joint.effects)
-        values = {name: float(described.values[name]) for name in joint.true}
-        nominal += joint.errors([Simulator(0, nothing, values)], joint.measured)
-        starts = [Simulator(0, nothing, joint.true), Simulator(0, whole, joint.true)]
-        if lead and own:
-            shapes = {(0, key): float(lead.values[key]) for key in lead.shapes}
-            free = () if lead.name == UNKNOWN else (0,)
-            starts.append(
-                Simulator(0, (1.0, *nothing[1:]), joint.true, shapes, free, tuple(shapes) if free else ())
-            )
-        first, full, *having = joint.fit(starts, joint.measured, rounds=ROUNDS)
-        base, floor, trials = [*base, first], [*floor, full], [*trials, joint]
-        leads |= dict.fromkeys([k] if having else [], *having)
-
-    def gap(of: str) -> float:
-        return sum(max(t.gap(b, of) - t.gap(f, of), 0.0) for t, b, f in zip(trials, base, floor, strict=True))
-
-    def closes(of: str) -> float:
-        closed = sum(trials[k].gap(base[k], of) - trials[k].gap(one, of) for k, one in leads.items())
-        return round(float(closed / max(gap(of), 1e-300)), 4)
-
-    def error(fits: Sequence[Simulator]) -> float:
-        return float(np.mean([one.test for one in fits]))
-
-    with_lead = [leads.get(k, one) for k, one in enumerate(base)]
-    oracle = error(nominal), error(base), error(with_lead), error(floor)
-    drives = "servo" if arm.servo else "torque"
-    more = {
-        "messy": {"dominant_outside": lead is not None and lead.name == UNKNOWN},
-        "arm": {"joints": joints, "drives": drives, "noise": short(arm.noise)},
-    }
-    volts_and_angles = Measured(moved.volts, moved.measured)
-    if lead is None:
-        graded = Graded(case, volts_and_angles, *oracle, "none", more=more)
-        return graded if oracle[0] >= PLAIN * oracle[1] else None
-    ratio = base[at].test / floor[at].test
-    if not ratio >= PLAIN or not min(closes("train"), closes("test")) >= DOMINANT:
-        return None
-    parts = []
-    for k, joint in enumerate(trials):
-        for i, one in enumerate(joint.effects):
-            if one is lead:
-                continue
-            sizes = tuple(float(j != i) for j in range(len(joint.effects)))
-            fit = joint.fit([Simulator(0, sizes, floor[k].values)], joint.measured, rounds=ROUNDS)[0]
-            share = float((joint.gap(fit, "train") - joint.gap(floor[k], "train")) / gap("train"))
-            if closes("train") < TWICE * share:
-                return None
-            lift = float(np.sqrt(joint.gap(fit, "train") / joint.gap(floor[k], "train"))) - 1.0
-            if lift >= SEEN:
-                if isinstance(one, Masses):
-                    one = next((e for e in small[k] if isinstance(e, LinkMass)), LinkMass(k, {"mass": 0.0}))
-                told = {
-                    "share_train": round(share, 4),
-                    "closes_train": round(share, 4),
-                    "lift": round(lift, 3),
-                }
-                parts.append(Part(one, (), {"role": "small", **told}))
-    rivals = find_rivals(rng, trials[at], trials[at].measured, base[at], leads[at], 0, on_train=True)
-    if lead.name == UNKNOWN and any(1.0 - rival.rest > IMITATED for rival in rivals):
-        return None
-    closed = {"share": closes("test"), "closes": closes("test")}
-    closed |= {"share_train": closes("train"), "closes_train": closes("train")}
-    parts.insert(0, Part(lead, rivals, {"role": "dominant", **closed}))
-    return Graded(case, volts_and_angles, *oracle, level_of(ratio), parts, more=more)

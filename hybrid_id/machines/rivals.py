@@ -43,25 +43,6 @@ class Rival:
     ratio: float
 
 
-def candidates(trials: Trials, truth: Effect) -> list[tuple[type[Effect], int]]:
-    """Formulas that the nominal model could have, and joints: every one, or the first of a name and place.
-
-    What no name stands for must not be what another formula of a name explains.
-    """
-    robot, found = trials.bare, dict[tuple[str, str, str], type[Effect]]()
-    for name, kinds in sorted(CATALOGUE.items()):
-        for kind in sorted(kinds, key=lambda kind: kind.__name__):
-            if kind.fits(robot) and kind.alter is Effect.alter:
-                found.setdefault((name, kind.place, kind.__name__ if truth.name == UNKNOWN else ""), kind)
-    return [
-        (kind, joint)
-        for kind in found.values()
-        for joint in trials.joints
-        if kind.acts_at(trials.robot, joint)
-        and (kind.name, kind.place, joint) != (truth.name, truth.place, truth.joint)
-    ]
-
-
 def find_rivals(
     rng: np.random.Generator,
     trials: Trials,
@@ -86,7 +67,21 @@ def find_rivals(
     truth = trials.effects[number]
     beside = [i for i, size in enumerate(base.sizes) if size]
     taken = {(trials.effects[i].name, trials.effects[i].joint) for i in beside}
-    kinds = [(kind, k) for kind, k in candidates(trials, truth) if (kind.name, k) not in taken]
+    # every formula that the nominal model could have, or the first of a name and place: what no name stands for must
+    # not be what another formula of a name explains
+    formulas = dict[tuple[str, str, str], type[Effect]]()
+    for name, kinds_of_name in sorted(CATALOGUE.items()):
+        for kind in sorted(kinds_of_name, key=lambda kind: kind.__name__):
+            if kind.fits(trials.bare) and kind.alter is Effect.alter:
+                formulas.setdefault((name, kind.place, kind.__name__ if truth.name == UNKNOWN else ""), kind)
+    kinds = [
+        (kind, joint)
+        for kind in formulas.values()
+        for joint in trials.joints
+        if kind.acts_at(trials.robot, joint)
+        and (kind.name, kind.place, joint) != (truth.name, truth.place, truth.joint)
+        and (kind.name, joint) not in taken
+    ]
     drawn = [
         [kind.draw(rng, trials.bare, k) for _ in range(DRAWS if kind.shapes else 1)] for kind, k in kinds
     ]

@@ -136,7 +136,7 @@ class Robot:
         elif self.system == "one_link_flexible":
             links = OneLink(self.values["J_a"])
             drives[0].spring = LinearSpring(self.values["k"], self.values["d"])
-            drives[0].link_laws.append(Viscous(self.values["F_va"], on_link=True))
+            drives[0].link_laws.append(Viscous(self.values["F_va"]))
         else:
             v = self.values
             links = TwoLinks(v["P_1"] - self._rotor(0) * self.ratio[0] ** 2, v["P_4"], v["P_3"])
@@ -217,11 +217,7 @@ def draw_robot(rng: np.random.Generator, system: str) -> Robot:
         }
         encoder = bool(rng.random() < 0.4)
         return Robot(system, ratio, False, values, (rotor / (rotor + link / ratio[0] ** 2),), supply, encoder)
-    return _draw_arm(rng, ratio, supply)
-
-
-def _draw_arm(rng: np.random.Generator, ratio: tuple[float, ...], supply: float) -> Robot:
-    """Two links of given lengths and masses, each a uniform rod with a load at its end."""
+    # links of given lengths and masses, each a uniform rod with a load at its end
     l_1, l_2 = rng.uniform(0.2, 0.4, 2)
     m_1, m_2 = log_uniform(rng, 0.5, 3), log_uniform(rng, 0.3, 1.5)
     load = rng.uniform(0.1, 1.0)

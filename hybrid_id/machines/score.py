@@ -502,7 +502,7 @@ def against_targets(scores: Mapping[str, Any], realism: str = "clean") -> list[d
         words = f"{sign} {words}" if aim.most is None else f"{words}-{percent * aim.most:g}"
         judged = None if seen is None else seen["high" if aim.surely else "value"]
         met = None if judged is None else low <= judged <= high
-        ends = (seen["low"], seen["high"]) if met else (None, None)
+        ends = (seen["low"], seen["high"]) if met and seen else (None, None)
         rows.append(
             {
                 "claim": aim.claim,

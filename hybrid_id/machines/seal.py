@@ -169,23 +169,22 @@ def open_answers(archive: Path, sha256: str) -> dict[str, Truth]:
         )
     try:
         with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as file:
-            return dict(_sheet(archive, file, entry) for entry in file)
+            sheets = {}
+            for entry in file:  # read where it lies; nothing is ever extracted
+                place = Path(entry.name)
+                stream = file.extractfile(entry) if entry.isreg() else None
+                if stream is None or not PLAIN_NAME.fullmatch(entry.name) or place.suffix != ".yaml":
+                    raise InputError(
+                        f"answers {archive} hold '{entry.name[:100]}', which is no answer; make the cases anew"
+                    )
+                sheets[place.stem] = parse_yaml(stream.read().decode("utf-8"), archive / entry.name)
+                if not isinstance(sheets[place.stem], dict):
+                    raise InputError(
+                        f"{archive / entry.name} holds no 'key: value' pairs; make the cases anew"
+                    )
+            return sheets
     except (tarfile.TarError, UnicodeDecodeError) as error:
         raise InputError(f"answers {archive} cannot be read ({error}); make the cases anew") from None
-
-
-def _sheet(archive: Path, file: tarfile.TarFile, entry: tarfile.TarInfo) -> tuple[str, Truth]:
-    """Name and ground truth of an archive's entry, read where it lies; nothing is ever extracted."""
-    place = Path(entry.name)
-    stream = file.extractfile(entry) if entry.isreg() else None
-    if stream is None or not PLAIN_NAME.fullmatch(entry.name) or place.suffix != ".yaml":
-        raise InputError(
-            f"answers {archive} hold '{entry.name[:100]}', which is no answer; make the cases anew"
-        )
-    found = parse_yaml(stream.read().decode("utf-8"), archive / entry.name)
-    if not isinstance(found, dict):
-        raise InputError(f"{archive / entry.name} holds no 'key: value' pairs; make the cases anew")
-    return place.stem, found
 
 
 def _hash(path: Path) -> str:

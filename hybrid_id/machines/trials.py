@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from hybrid_id.machines.effects import Effect
 from hybrid_id.machines.experiments import SAMPLE_TIME, Campaign, noise_std
-from hybrid_id.machines.physics.bench import Plant, replay, run
+from hybrid_id.machines.physics.bench import replay, run
 from hybrid_id.machines.physics.machine import Machine
 from hybrid_id.machines.physics.mujoco import MujocoMachine, planar
 from hybrid_id.machines.robots import Robot
@@ -146,7 +146,7 @@ class Trials:
             campaign = self.campaign.repeated(count)
             sizes = np.repeat(np.array([mixtures[k] for k in rows], float).T, runs, axis=1)
             machine = self.machine(sizes, {}, {}, least=FINE, drift=np.tile(drift, count))
-            plant: Plant = MujocoMachine(*planar(machine)) if mujoco else machine
+            plant = MujocoMachine(*planar(machine)) if mujoco else machine
             with np.errstate(all="ignore"):
                 volts, angles = run(plant, campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
             for i, k in enumerate(rows):
@@ -187,7 +187,7 @@ class Trials:
         start = np.concatenate(rest, axis=1) / np.array(self.robot.ratio)[:, None]
         with np.errstate(all="ignore"):  # a machine that diverges costs much, which is all
             machine = self.machine(*self.lanes(simulators, len(rows)), least=least)
-            plant: Plant = MujocoMachine(*planar(machine)) if mujoco else machine
+            plant = MujocoMachine(*planar(machine)) if mujoco else machine
             angles = replay(
                 plant,
                 np.concatenate(volts, axis=-1),

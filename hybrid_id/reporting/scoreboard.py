@@ -47,20 +47,12 @@ DOUBTFUL = "met; its interval reaches beyond"
 """What is said of a target that the figure seen meets, and not all of its interval."""
 _PLAIN = ("shrink_error", "share_error", "seconds", "slowest", "processor")
 """Scores in points or seconds."""
-SHORT = {
-    "cases": "cases", "joint": "joint", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
-    "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed",
-    "seconds": "time [s]",
-}  # fmt: skip
-"""Scores that are shown group by group, and their heads."""
 
 
 def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) -> str:
     """A score in words: value, interval and number of cases."""
     if score is None:
         return "–"
-    if name == "cases":
-        return str(score["value"])
     percent = name not in ("f1", "calibration", *_PLAIN)
     form = "{:.1f}" if name in _PLAIN else "{:.3f}" if name == "calibration" else "{:.2f}"
 
@@ -107,13 +99,6 @@ def target_rows(targets: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[l
     return ["claim", "target", "seen", "", "cases to look at"], rows
 
 
-def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of one dimension."""
-    shown = [name for name in SHORT if any(name in figures for figures in groups.values())]
-    rows = [[group, *(value(n, f.get(n), interval=False) for n in shown)] for group, f in groups.items()]
-    return ["", *(SHORT[name] for name in shown)], rows
-
-
 def markdown(content: Scores) -> str:
     """The report as a file of its own.
 
@@ -136,8 +121,6 @@ def markdown(content: Scores) -> str:
         markdown_table(*target_rows(content["methods"][first]["targets"])),
         calibration(content["methods"][first]["scores"]["reliability"]),
     ]
-    for dimension, groups in content["methods"][first]["scores"]["by"].items():
-        parts += [f"`{first}` by {dimension}:", markdown_table(*group_rows(groups))]
     return "\n\n".join(parts) + "\n"
 
 

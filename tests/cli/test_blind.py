@@ -193,41 +193,20 @@ def test_another_program_takes_part(home: Path) -> None:
         "one = {'name': 'constant_torque', 'where': 'joint1/load', 'probability': 0.8, 'selected': True}\n"
         "answer.write_text(json.dumps({'effects': [one], 'unknown': False}))\n"
     )
-    command = f"{sys.executable} {program} {{case}} {{answer}}"
-    said = call("run", cases, "--out", runs, "--method", "external", "--command", command)
-    assert (
-        "external 1 of 3: c001, effects" in said
-        and "c002, InputError" in said
-        and "something lies beside" in said
-    )
-    told = call("score", runs, "--answers", archive)
-    assert (
-        "| first name right (single effects; a dominant one of a messy machine) | 100 % (21 to 100; 1) |"
-        in told
-    )
-    call("run", cases, "--out", runs, "--method", "external", fails="belong together")
-    told = ("--method", "external", "--command", command, "--train-records", 2)
-    call("run", cases, "--out", home / "fewer", *told, fails="takes cases as they are")
-    assert "2 of 3 cases broke" in call(
-        "run", cases, "--out", runs, "--method", "external", "--command", command
-    )
+    theirs = ("run", cases, "--out", runs, "--method", "external")
+    command = ("--command", f"{sys.executable} {program} {{case}} {{answer}}")
+    said = call(*theirs, *command)
+    assert "external 1 of 3: c001, effects" in said and "something lies beside" in said
+    call("score", runs, "--answers", archive)
+    scores = json.loads((runs / "scores.json").read_text())["methods"]["external"]["scores"]["all"]
+    assert (scores["top_1"]["value"], scores["top_1"]["n"]) == (1.0, 1)
+    call(*theirs, fails="belong together")
+    call(*theirs, *command, "--train-records", 2, fails="takes cases as they are")
+    assert "2 of 3 cases broke" in call(*theirs, *command)
     program.write_text("# another version\n" + program.read_text())
-    assert "kept from before" not in call(
-        "run", cases, "--out", runs, "--method", "external", "--command", command
-    )
-    absent = ("--method", "external", "--command", "theirs {case} {answer}")
-    call("run", cases, "--out", runs, *absent, fails="theirs is not a program")
-    call(
-        "run",
-        cases,
-        "--out",
-        runs,
-        "--method",
-        "external",
-        "--command",
-        "theirs",
-        fails="needs --command with",
-    )
+    assert "kept from before" not in call(*theirs, *command)
+    call(*theirs, "--command", "theirs {case} {answer}", fails="theirs is not a program")
+    call(*theirs, "--command", "theirs", fails="needs --command with")
 
 
 def test_making_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,31 +9,6 @@ from hybrid_id.machines.effects.transmission import SoftGear
 from hybrid_id.machines.physics.bench import replay
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
 
-NAMES = {
-    "delay": "input",
-    "voltage_deadband": "input",
-    "voltage_saturation": "input",
-    "supply_sag": "input",
-    "electrical_lag": "motor",
-    "cogging": "motor",
-    "thermal_derating": "motor",
-    "coulomb_friction": "motor_friction link_friction",
-    "viscous_friction": "link_friction",
-    "stribeck_friction": "motor_friction",
-    "asymmetric_friction": "motor_friction",
-    "presliding_friction": "motor_friction",
-    "quadratic_drag": "motor_friction link_friction",
-    "load_dependent_friction": "motor_friction",
-    "position_dependent_friction": "motor_friction link_friction",
-    "backlash": "transmission",
-    "joint_flexibility": "transmission",
-    "hardening_flexibility": "transmission",
-    "kinematic_error": "transmission",
-    "gravity_load": "load",
-    "spring_load": "load",
-    "constant_torque": "load",
-    "joint_coupling": "load",
-}
 FORMULAS = [k for kinds in (*CATALOGUE.values(), OUTSIDE) for k in kinds if set(k.systems) & set(SYSTEMS)]
 """Those of drives; the arms' are met in test_make.py and test_trials.py."""
 
@@ -62,17 +37,6 @@ def motion(robot: Robot, *effects: Effect) -> np.ndarray:
     return replay(machine, volts, sample_time=0.004)[:, :, 0]
 
 
-def test_every_name_has_formulas_in_its_places() -> None:
-    places = {
-        name: dict.fromkeys(k.place for k in kinds if k in FORMULAS) for name, kinds in CATALOGUE.items()
-    }
-    assert {name: " ".join(one) for name, one in places.items() if one} == NAMES
-    assert places.keys() - NAMES.keys() == {"encoder_zero", "goal_rate_limit", "link_mass"}  # of arms
-    assert all(kind.name == "unknown" for kind in OUTSIDE)
-    assert len([kind for kind in OUTSIDE if kind in FORMULAS]) >= 12
-    assert len({kind.__name__ for kind in FORMULAS}) == len(FORMULAS)
-
-
 @pytest.mark.parametrize("kind", FORMULAS, ids=lambda kind: kind.__name__)
 def test_formula_changes_the_motion_more_when_it_is_larger(kind: type[Effect]) -> None:
     robot = robot_for(kind)
@@ -86,24 +50,6 @@ def test_formula_changes_the_motion_more_when_it_is_larger(kind: type[Effect]) -
     assert changes[1] > 0.02  # rad of the rotor; encoders count 0.1 rad and more
     assert effect.where.startswith("joint")
     assert all(np.isfinite(value) for value in effect.size().values())
-
-
-def test_formulas_of_one_name_differ() -> None:
-    for name, kinds in CATALOGUE.items():
-        if name == "delay":  # before the amplifier or behind the encoder: the same without a controller
-            continue
-        kinds = [k for k in kinds if k in FORMULAS]
-        here = [k for k in kinds if k.systems == kinds[0].systems and k.place == kinds[0].place]
-        if not here:
-            continue
-        robot = robot_for(here[0])
-        if len(here) > 1 and set(here[0].sized) == set(here[1].sized):
-            effect = here[0].draw(np.random.default_rng(2), robot, robot.joints - 1)
-            try:
-                other = here[1](effect.joint, effect.values)
-                assert np.abs(motion(robot, effect) - motion(robot, other)).max() > 1e-4
-            except KeyError:
-                pass  # they do not share their values
 
 
 def test_an_uncoupled_second_link_has_no_inertia_to_be_parted_from_its_rotor() -> None:

@@ -31,13 +31,6 @@ def test_bristles_slide_at_coulombs_level_and_turn_with_memory(law) -> None:
     assert abs(force[0]) < 0.1
 
 
-def test_lugre_slides_on_the_stribeck_curve() -> None:
-    law, step = LuGre(1.0, 50.0, 0.0, drop=0.5, v_s=2.0), 1e-3
-    for speed in (0.5, 2.0, 8.0):
-        force = slide(law, np.arange(4000) * step * speed, step)
-        assert force[-1] == pytest.approx(1 + 0.5 * np.exp(-((speed / 2) ** 2)), rel=1e-6)
-
-
 @pytest.mark.parametrize("shape", ["exponential", "gaussian", "lorentzian"])
 def test_stribeck_falls_from_breakaway_to_coulomb(shape: str) -> None:
     levels = []

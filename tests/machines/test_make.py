@@ -152,30 +152,14 @@ def test_families_are_drawn_as_often_as_they_say() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"effect": "backlsh"}, "effect 'backlsh' is not known; did you mean 'backlash'"),
-        ({"system": "three_link"}, "system 'three_link' is not known"),
-        (
-            {"effect": "CubicDrag", "family": "single"},
-            "'CubicDrag' is outside the catalogue; leave family out",
-        ),
-        (
-            {"effect": "cogging", "family": "unknown"},
-            "'cogging' is in the catalogue; give family single or pair",
-        ),
-        ({"effect": "viscous_friction", "system": "two_link"}, "cannot be met on a two_link machine"),
-        ({"realism": "real"}, "realism 'real' is not known"),
+        ({"effect": "backlsh"}, "did you mean 'backlash'"),
+        ({"effect": "CubicDrag", "family": "single"}, "outside the catalogue"),
+        ({"effect": "cogging", "family": "unknown"}, "in the catalogue"),
+        ({"effect": "viscous_friction", "system": "two_link"}, "cannot be met"),
+        ({"realism": "real"}, "not known"),
         ({"realism": "messy", "level": "strong"}, "neither level nor MuJoCo"),
-        ({"realism": "messy", "engine": "mujoco"}, "neither level nor MuJoCo"),
-        (
-            {"realism": "arms", "system": "one_link"},
-            "arms are of two to seven joints, in MuJoCo; leave --system",
-        ),
-        ({"realism": "arms", "effect": "latsch"}, "'latsch' is not known; did you mean 'latch'"),
-        ({"realism": "arms", "family": "pair"}, "family 'pair' is not known"),
-        (
-            {"realism": "arms", "effect": "latch", "family": "single"},
-            "outside the catalogue; leave family out",
-        ),
+        ({"realism": "arms", "system": "one_link"}, "leave --system"),
+        ({"realism": "arms", "family": "pair"}, "not known"),
     ],
 )
 def test_what_is_not_known_or_leaves_no_choice_is_refused(

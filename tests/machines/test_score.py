@@ -28,8 +28,8 @@ def truth(name: str, where: str = FRICTION, *, also: tuple[str, ...] = ()) -> di
 
 
 def sheet(family: str, *effects: dict[str, Any], level: str = "strong") -> dict[str, Any]:
-    about = {"level": level, "oracle": ORACLE, "made_by": {"engine": "in_house"}}
-    return {"family": family, "effects": list(effects), **about}
+    made_by = {"engine": "in_house"}
+    return {"family": family, "effects": list(effects), "level": level, "oracle": ORACLE, "made_by": made_by}
 
 
 def effect(
@@ -70,11 +70,10 @@ def test_a_case_that_broke_and_an_interval_without_ends_say_nothing_of_the_gap()
 
 
 def test_equivalent_of_a_tie_counts_as_the_effect() -> None:
-    tied = effect(
-        "presliding_friction", FRICTION.replace("motor", "link"), 0.6, True, tied_with=["stribeck_friction@x"]
-    )
-    one = judge("c1", STRIBECK, said(tied))
+    one = judge("c1", STRIBECK, said(effect("presliding_friction", "joint1/link_friction", 0.6, True)))
     assert one.top_1_at_place and one.whole and one.said == "stribeck_friction"
+    wrong = judge("c1", STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)))
+    assert wrong.top_1 and not (wrong.place or wrong.top_1_at_place or wrong.whole)
 
 
 def test_wrong_name_keeps_its_place_and_its_rank() -> None:
@@ -84,20 +83,9 @@ def test_wrong_name_keeps_its_place_and_its_rank() -> None:
         effect("stribeck_friction"),
     ]
     one = judge("c1", STRIBECK, said(*guesses))
-    assert (one.top_1, one.top_3, one.place, one.top_1_at_place, one.whole) == (
-        False,
-        True,
-        True,
-        False,
-        False,
-    )
+    assert one.top_3 and one.place and not (one.top_1 or one.top_1_at_place or one.whole)
     assert one.said == "coulomb_friction" and one.claims[0] == (0.8, False)
     assert one.closed == 0.0 and one.shrink_error is None
-
-
-def test_right_name_at_wrong_place() -> None:
-    one = judge("c1", STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)))
-    assert (one.top_1, one.place, one.top_1_at_place, one.whole) == (True, False, False, False)
 
 
 @pytest.mark.parametrize(
@@ -130,12 +118,6 @@ def test_pair_by_the_f1_of_its_set(names: list[str], hits: int, f1: float) -> No
     one = judge("c1", PAIR, said(*(effect(n, where.get(n, FRICTION), selected=True) for n in names)))
     assert one.pair == (hits, len(names), 2) and one.f1 == pytest.approx(f1)
     assert one.whole == (f1 == 1.0) and one.top_1 is None and one.effect == "stribeck_friction+delay"
-
-
-def test_one_answer_serves_one_effect_of_a_pair() -> None:
-    twice = sheet("pair", truth("stribeck_friction", also=("dahl",)), truth("dahl"))
-    one = judge("c1", twice, said(effect("dahl", selected=True)))
-    assert one.pair == (1, 1, 2)
 
 
 def test_a_rivals_name_is_right_at_the_rivals_place_only() -> None:
@@ -220,11 +202,8 @@ def cases() -> list[Judged]:
 def test_figures_of_a_group() -> None:
     found = figures(cases())
     assert found["cases"]["value"] == 7
-    assert (
-        found["top_1"]["value"] == 0.5
-        and found["top_1"]["n"] == 4
-        and found["top_1"]["wrong"] == ["c3", "c7"]
-    )
+    assert (found["top_1"]["value"], found["top_1"]["n"]) == (0.5, 4)
+    assert found["top_1"]["wrong"] == ["c3", "c7"]
     assert found["false_alarms"]["value"] == 0 and found["outside_detected"]["value"] == 1
     assert found["f1"]["value"] == pytest.approx(2 / 3) and found["f1"]["wrong"] == ["c6"]
     assert found["broken"]["wrong"] == ["c7"]
@@ -263,11 +242,6 @@ def test_reliability_over_bins_of_equal_count() -> None:
     assert told["expected_error"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.4)
     assert told["brier"] == pytest.approx((20 * 0.01 + 10 * 0.01 + 10 * 0.81) / 40)
     assert reliability([])["expected_error"] is None
-
-
-def test_absent_names_of_no_probability_are_no_claims() -> None:
-    names = [effect("cogging", p=0.01), effect("delay", p=0.3), effect("stribeck_friction", p=0.01)]
-    assert scores([judge("c1", STRIBECK, said(*names))])["reliability"]["n"] == 2
 
 
 def test_targets_say_what_fell_short_and_where_to_look() -> None:

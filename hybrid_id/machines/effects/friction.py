@@ -16,8 +16,6 @@ from hybrid_id.machines.physics.friction import (
 )
 from hybrid_id.machines.robots import log_uniform
 
-RIGID = ("one_link", "two_link")
-
 
 def without(drive, kind):
     """Take the laws of a kind off a rotor and give the first of them back."""
@@ -72,7 +70,7 @@ class LinkCoulomb(Effect):
         return cls(joint, {"F_c": dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.2)})
 
     def law(self, robot):
-        return Coulomb(self.values["F_c"], on_link=True)
+        return Coulomb(self.values["F_c"])
 
 
 class WithheldLinkViscous(Effect):
@@ -132,9 +130,9 @@ class UnevenDry(Effect):
 
     def law(self, robot):
         # at most 1.9 times the level itself, so that friction opposes motion both ways
-        most = 1.9 * dry(robot, self.joint)
-        excess = np.clip(self.values["excess"], -most, most)
-        return Uneven(excess)
+        most, steepest = 1.9 * dry(robot, self.joint), 1.9 * robot.value(self.joint, "F_v")
+        slope = np.clip(self.values.get("slope", 0.0), -steepest, steepest)
+        return Uneven(np.clip(self.values["excess"], -most, most), slope)
 
 
 class UnevenBoth(UnevenDry):
@@ -149,13 +147,6 @@ class UnevenBoth(UnevenDry):
         excess = side * dry(robot, joint) * rng.uniform(0.2, 0.7)
         slope = side * robot.value(joint, "F_v") * rng.uniform(0.2, 0.6)
         return cls(joint, {"excess": excess, "slope": slope})
-
-    def law(self, robot):
-        most = 1.9 * dry(robot, self.joint)
-        excess = np.clip(self.values["excess"], -most, most)
-        steepest = 1.9 * robot.value(self.joint, "F_v")
-        slope = np.clip(self.values["slope"], -steepest, steepest)
-        return Uneven(excess, slope)
 
 
 class PreslidingDahl(Effect):
@@ -300,4 +291,4 @@ class LinkAngleFriction(AngleFriction):
     def law(self, robot):
         v = self.values
         amplitude = v["amplitude"] * robot.ratio[self.joint]
-        return PositionDependent(amplitude, v["periods"], v["phase"], on_link=True)
+        return PositionDependent(amplitude, v["periods"], v["phase"])

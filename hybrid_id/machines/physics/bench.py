@@ -1,32 +1,11 @@
 """A machine on the bench: commands or a controller, encoders, and what is logged."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-
-class Plant(Protocol):
-    """A machine that runs B records side by side."""
-
-    def begin(self, lanes: int, samples: int, sample_time: float, angles: np.ndarray | None = None) -> None:
-        """Prepare B runs of so many samples [s], at rest at link angles (n_joints, B) [rad].
-
-        Without them the machines come to rest from angles zero, without voltage.
-        """
-        ...
-
-    def advance(self, commands: np.ndarray, disturbance: np.ndarray) -> None:
-        """Carry all runs over one sample with held commands and disturbing torques (n_joints, B) [V, N m]."""
-        ...
-
-    def carry(self, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Carry all runs through commands (T, n_joints, B) [V]: rotor and link angles, alike, [rad] at all samples."""
-        ...
-
-    def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotor and link angles (n_joints, B) [rad]."""
-        ...
+from hybrid_id.machines.physics.machine import Machine
+from hybrid_id.machines.physics.mujoco import MujocoMachine
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +89,7 @@ DIFFERENCE = 5
 
 
 def run(
-    plant: Plant,
+    plant: Machine | MujocoMachine,
     program: Program,
     encoders: Encoders,
     *,
@@ -156,7 +135,7 @@ def run(
 
 
 def replay(
-    plant: Plant,
+    plant: Machine | MujocoMachine,
     volts: np.ndarray,
     *,
     sample_time: float,

@@ -12,7 +12,6 @@ class Viscous(Law):
     """``F_v v`` [N m s/rad]."""
 
     F_v: Lanes
-    on_link: bool = False
     smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
@@ -24,7 +23,6 @@ class Coulomb(Law):
     """``F_c Sgn(v)``, set-valued at rest [N m]."""
 
     F_c: Lanes
-    on_link: bool = False
     smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
@@ -42,7 +40,6 @@ class Stribeck(Law):
     drop: Lanes
     v_s: Lanes
     shape: str = "gaussian"
-    on_link: bool = False
     smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
@@ -125,7 +122,6 @@ class Uneven(Law):
 
     excess: Lanes
     slope: Lanes = 0.0
-    on_link: bool = False
 
     def act(self, push: Push, x: Signals) -> None:
         push.plus = push.plus + 0.5 * self.excess
@@ -135,14 +131,13 @@ class Uneven(Law):
 
 @dataclass
 class Power(Law):
-    """``F |v|^n sgn(v)``: drag of a fan at n = 2, cubic at n = 3, shear thinning below 1; F [N m (s/rad)^n]."""
+    """``F |v| v``, the drag of a fan; F [N m s^2/rad^2]."""
 
     F: Lanes
-    exponent: float = 2.0
     on_link: bool = False
 
     def act(self, push: Push, x: Signals) -> None:
-        push.slope = push.slope + self.F * np.abs(self.speed(x)) ** (self.exponent - 1)
+        push.slope = push.slope + self.F * np.abs(self.speed(x))
 
 
 @dataclass
@@ -170,7 +165,6 @@ class PositionDependent(Law):
     periods: float
     phase: float
     spot: bool = False
-    on_link: bool = False
     mean: float = 1.0
 
     def act(self, push: Push, x: Signals) -> None:
@@ -189,7 +183,6 @@ class Dahl(Law):
 
     F_c: Lanes
     stiffness: Lanes
-    on_link: bool = False
     _force: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
 
     def start(self, lanes: int) -> None:
@@ -205,18 +198,15 @@ class Dahl(Law):
 
 @dataclass
 class LuGre(Law):
-    """``z' = v - s |v| z / g(v)``, ``F = s z + d z'``, ``g = F_c + drop exp(-(v/v_s)^2)``.
+    """``z' = v - s |v| z / F_c``, ``F = s z + d z'``: bristles.
 
-    Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995. s [N m/rad], d [N m s/rad];
-    the viscous part of the law belongs to `Viscous`.
+    Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995, without their Stribeck curve; s [N m/rad],
+    d [N m s/rad]; the viscous part of the law belongs to `Viscous`.
     """
 
     F_c: Lanes
     stiffness: Lanes
     damping: Lanes
-    drop: Lanes = 0.0
-    v_s: Lanes = 1.0
-    on_link: bool = False
     _z: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
 
     def start(self, lanes: int) -> None:
@@ -224,9 +214,8 @@ class LuGre(Law):
 
     def act(self, push: Push, x: Signals) -> None:
         speed = self.speed(x)
-        level = self.F_c + self.drop * np.exp(-((speed / self.v_s) ** 2))
-        end = np.sign(speed) * level / self.stiffness
-        after = end + (self._z - end) * np.exp(-self.stiffness * np.abs(speed) * x.step / level)
+        end = np.sign(speed) * self.F_c / self.stiffness
+        after = end + (self._z - end) * np.exp(-self.stiffness * np.abs(speed) * x.step / self.F_c)
         force = self.stiffness * 0.5 * (self._z + after) + self.damping * (after - self._z) / x.step
         push.torque = push.torque - force
         self._z = after
@@ -242,7 +231,6 @@ class MaxwellSlip(Law):
     F_c: Lanes
     stiffness: Lanes
     springs: int = 5
-    on_link: bool = False
     _forces: list[np.ndarray] = field(default_factory=list, repr=False)
 
     def start(self, lanes: int) -> None:

@@ -100,16 +100,14 @@ class BacklashFlexibility(Spring):
 
 @dataclass
 class HardeningSpring(Spring):
-    """``k d + k_n |d|^n sgn(d) + damping d'``: cubic at n = 3; k_n [N m/rad^n]."""
+    """``k d + k_3 d^3 + damping d'``; k_3 [N m/rad^3]."""
 
     k: Lanes
     damping: Lanes
-    k_n: Lanes
-    exponent: float = 3.0
+    k_3: Lanes
 
     def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        stiff = self.k + self.k_n * np.abs(twist) ** (self.exponent - 1)
-        return stiff * twist + self.damping * rate
+        return (self.k + self.k_3 * twist**2) * twist + self.damping * rate
 
 
 @dataclass
