@@ -267,7 +267,8 @@ class ArmDiagnosis:
                 self.nominal_errors, self.refit_errors, self.model_errors, self.shrink, self.contradiction
             ),
             "location": [
-                {"joint": joint, "side": None, "share_of_gap": part} for joint, part in self._by_part()
+                {"joint": joint, "side": None, "share_of_gap": part}
+                for joint, part in sorted(self.parts.items(), key=lambda one: -one[1])
             ],
             "common_sizes": [
                 vars(one) | {"joints": list(one.joints), "common": one.common} for one in self.common
@@ -275,9 +276,6 @@ class ArmDiagnosis:
             "skipped": dict(self.skipped),
             "joints": {joint: found.as_dict() for joint, found in self.joints.items()},
         }
-
-    def _by_part(self) -> list[tuple[str, float]]:
-        return sorted(self.parts.items(), key=lambda one: -one[1])
 
 
 def diagnose_arm(

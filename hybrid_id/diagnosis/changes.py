@@ -122,7 +122,12 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     if not names:
         return _nothing()
     infos = [nominal.parameter(name) for name in names]
-    axes, spread = _identified(error)
+    # axes (p, m) of relative changes that the records identify, and the covariance along them (m, m)
+    information, cov = error
+    squares, vectors = np.linalg.eigh(information)
+    along = np.einsum("ij,ik,kj->j", vectors, cov, vectors)
+    axes = vectors[:, (squares > 1e-12 * squares[-1]) & (along < VAGUE**2)]
+    spread = axes.T @ cov @ axes + NOMINAL**2 * np.eye(axes.shape[1])
     if not axes.size:
         return _nothing()
     whitener = np.linalg.inv(np.linalg.cholesky(spread))
@@ -148,7 +153,28 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
         alone = _moved_alone(infos, axes, change, spread)
         parts = _beside(parts, alone, whitened, moved)
-        one = _several(nominal, names, parts, alone, max((r.explained for r in rejected), default=0.0))
+        # changes that act at once, and the parameters that moved beside them
+        within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
+        changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
+        beside = ", ".join(
+            f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
+            for info, own in changes
+        )
+        if parts:
+            words = "; ".join(_words(nominal, one, names) for one in parts)
+            words += f"; beside that {beside}" if beside else ""
+        else:
+            words = f"several parameters moved{f': {beside}' if beside else ' together'}"
+        one = ParameterChange(
+            name="several",
+            joint=0,
+            size=0.0,
+            interval=(0.0, 0.0),
+            parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
+            explained=max((r.explained for r in rejected), default=0.0),
+            words=_capital(words),
+            together=tuple(one.hypothesis.name for one in parts),
+        )
     return replace(one, rejected=rejected)
 
 
@@ -172,33 +198,6 @@ def _single(
         explained=1.0 - chosen.left / total,
         words=words,
         indistinguishable_from=others,
-    )
-
-
-def _several(
-    nominal: System, names: tuple[str, ...], parts: list[_Solution], alone: dict[int, float], explained: float
-) -> ParameterChange:
-    """Changes that act at once, and the parameters that moved beside them."""
-    within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
-    changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
-    beside = ", ".join(
-        f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
-        for info, own in changes
-    )
-    if parts:
-        words = "; ".join(_words(nominal, one, names) for one in parts)
-        words += f"; beside that {beside}" if beside else ""
-    else:
-        words = f"several parameters moved{f': {beside}' if beside else ' together'}"
-    return ParameterChange(
-        name="several",
-        joint=0,
-        size=0.0,
-        interval=(0.0, 0.0),
-        parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
-        explained=explained,
-        words=_capital(words),
-        together=tuple(one.hypothesis.name for one in parts),
     )
 
 
@@ -242,15 +241,6 @@ def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, n
     root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
     root = root * size
     return kept, change, np.stack([root.T @ root, cov.matrix[np.ix_(kept, kept)] / np.outer(size, size)])
-
-
-def _identified(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (p, m) of relative changes that the records identify, and the covariance along them (m, m)."""
-    information, cov = error
-    squares, vectors = np.linalg.eigh(information)
-    along = np.einsum("ij,ik,kj->j", vectors, cov, vectors)
-    axes = vectors[:, (squares > 1e-12 * squares[-1]) & (along < VAGUE**2)]
-    return axes, axes.T @ cov @ axes + NOMINAL**2 * np.eye(axes.shape[1])
 
 
 def _solve(hypothesis: _Hypothesis, whitened_axes: np.ndarray, moved: np.ndarray) -> _Solution:

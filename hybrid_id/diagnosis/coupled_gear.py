@@ -18,7 +18,6 @@ from scipy.optimize import minimize_scalar
 
 from hybrid_id.components.base import Component, ServoLoop
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
 from hybrid_id.diagnosis.grade import chance_of_presence
 from hybrid_id.diagnosis.model import FittedModel
@@ -111,16 +110,17 @@ def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
     for motor, own in enumerate(tree.joints):
         pair = (own.parent, motor)
         names = [tree.names[k] for k in pair if k >= 0]
-        lacking = [one for name in names if (one := robot.answers.get(name)) is not None and _lacks(one)]
+        lacking = [
+            one
+            for name in names
+            if (one := robot.answers.get(name)) is not None
+            and bool(one.grade.unknown or one.found.chosen.effects)
+        ]
         able = len(lacking) == 2 and any(one.grade.unknown for one in lacking)
         able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
         if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
             found.append(pair)
     return found
-
-
-def _lacks(answer: Answer) -> bool:
-    return bool(answer.grade.unknown or answer.found.chosen.effects)
 
 
 def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
@@ -170,7 +170,20 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
         if instead is not None and instead.error <= richer.error:
             return None
     rivals = [one for other in TURNS[1:-1] if other and (one := fitted(other)) is not None]
-    return _shown(replace(gear, turns=turns, std=std), plain, richer, rivals)
+    # a gear as records left out bear it out; None where they do not
+    weights = plain.validation.even_weights()
+
+    def weighted(one: FittedModel) -> FittedModel:
+        return replace(one, validation=one.validation.weighted(weights))
+
+    plain, richer = weighted(plain), weighted(richer)
+    p = chance(richer, plain, [weighted(one) for one in rivals])
+    sure = chance_of_presence(richer, plain, p)
+    if not passes(richer, plain, p) or sure < CRITERIA.least_probability:
+        return None
+    return replace(
+        replace(gear, turns=turns, std=std), share=richer.validation.fall(plain.validation), probability=sure
+    )
 
 
 def _error(richer: FittedModel, below: FittedModel | None, above: FittedModel | None) -> float:
@@ -193,27 +206,3 @@ def _error(richer: FittedModel, below: FittedModel | None, above: FittedModel | 
     worth = richer.trained * richer.result.n_samples / max(richer.validation.effective, 1.0)
     scatter = len(gradient) * float(np.var(list(gradient.values()), ddof=1))
     return max((worth / information) ** 0.5, scatter**0.5 / information, 0.25 * CLOSE)
-
-
-def _shown(
-    gear: CoupledGear, plain: FittedModel, richer: FittedModel, rivals: Sequence[FittedModel]
-) -> CoupledGear | None:
-    """A gear as records left out bear it out; None where they do not.
-
-    Args:
-        gear: with its turns.
-        plain: both joints without it.
-        richer: both with it.
-        rivals: with other turns, which have been tried, too.
-    """
-    weights = plain.validation.even_weights()
-
-    def weighted(one: FittedModel) -> FittedModel:
-        return replace(one, validation=one.validation.weighted(weights))
-
-    plain, richer = weighted(plain), weighted(richer)
-    p = chance(richer, plain, [weighted(one) for one in rivals])
-    sure = chance_of_presence(richer, plain, p)
-    if not passes(richer, plain, p) or sure < CRITERIA.least_probability:
-        return None
-    return replace(gear, share=richer.validation.fall(plain.validation), probability=sure)

@@ -385,7 +385,12 @@ def _over_short(
     """
     if first is None:
         return selection_step(*short, system, progress=progress)
-    rivals, step = _rivals(first), None
+    # The effects that explain the greater part of what any of them does. What shows over shorter runs alone is a
+    # smaller effect: a slow one shows along whole runs, and may be most of the gap.
+    most = min((e.trained for e in first.candidates), default=0.0)
+    least = first.before.trained - CRITERIA.major_share * (first.before.trained - most)
+    rivals = frozenset(added_effect(e, first.before) for e in first.candidates if e.trained <= least)
+    step = None
     if fits.astray(best) > CRITERIA.lost or not accepted_ones(first):
         step = selection_step(*short, system, progress=progress)
         if accepted_ones(step) and _left(step) < CRITERIA.left_open * _left(first):
@@ -417,17 +422,6 @@ def _differing(fits: Fits, model: FittedModel, system: System) -> PerRecord | No
     """Each record's own values of a model, where they leave noise alone: the records differ, and nothing is missing."""
     own = per_record(fits, model, system)
     return own if own is not None and own.explained else None
-
-
-def _rivals(step: SelectionStep) -> frozenset[Name]:
-    """The effects that explain the greater part of what any of them does of the train records.
-
-    Shorter runs are to tell these apart. What shows over those alone is a smaller effect: a slow one shows along whole
-    runs, and may be most of the gap.
-    """
-    most = min((e.trained for e in step.candidates), default=0.0)
-    least = step.before.trained - CRITERIA.major_share * (step.before.trained - most)
-    return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained <= least)
 
 
 def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -463,7 +457,20 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     )
     std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     found = _unheld(_final(fits, found), system)
-    wrong = _wrong_values(fits, system, found.base)
+    # whether the nominal values err clearly more on the train records than the re-fitted ones
+    both = [
+        errors(
+            fits.dataset,
+            one,
+            engine(),
+            fits.dataset.train,
+            horizon=fits.horizon,
+            signal_share=fits.signal_share,
+        )
+        for one in (system, found.base.system)
+    ]
+    nominal, refit = both
+    wrong = nominal is not None and refit is not None and nominal.nrmse >= CRITERIA.wrong_values * refit.nrmse
     return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
 
 
@@ -520,23 +527,6 @@ def _unheld(found: Selection, nominal: System) -> Selection:
 
     base = free(found.base)
     return replace(found, base=base, chosen=base if found.chosen is found.base else free(found.chosen))
-
-
-def _wrong_values(fits: Fits, system: System, base: FittedModel) -> bool:
-    """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
-    both = [
-        errors(
-            fits.dataset,
-            one,
-            engine(),
-            fits.dataset.train,
-            horizon=fits.horizon,
-            signal_share=fits.signal_share,
-        )
-        for one in (system, base.system)
-    ]
-    nominal, refit = both
-    return nominal is not None and refit is not None and nominal.nrmse >= CRITERIA.wrong_values * refit.nrmse
 
 
 @dataclass(frozen=True, eq=False)

@@ -430,7 +430,33 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     if fold is None:
         return leave_one_out(result, batch, AGAIN)
     if len(set(batch.names)) == batch.rows:
-        return _predicted_records(result, batch, fold)
+        # the same of whole records, by finite steps, which see through stick and slip and play
+        first = _as_measured(result, batch)
+        rippled = autocorrelation(result.residual) > CRITERIA.coloured
+        starts = started_without(result, batch, fold) if rippled else None
+        found: list[np.ndarray] = [np.empty(0)] * batch.rows
+        slopes = slopes_at(result.system, batch, result.engine, result.x0)  # where all these fits begin
+        for k in np.unique(fold):
+            inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
+            others = batch.take(inside)
+            settings = {
+                "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False,
+                "shares": STEPS[:1],
+            }  # fmt: skip
+            # where errors are noise, the slopes of all records lead to the others' minimum, too
+            known = {"begin" if rippled else "near": slopes.of_rows(inside.numpy())}
+            again = finite_difference_fit(result.system, others, **known, **settings)
+            if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
+                with suppress(InputError):  # a step may leave an arm no mass matrix
+                    start = result.system.with_values(
+                        dict(zip(result.names, starts[k].tolist(), strict=True))
+                    )
+                    again = finite_difference_fit(start, others, **settings)
+            rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
+            errors = rest.residuals(again.values[None], first[None, outside.numpy()])[0]
+            for row, error in zip(outside.tolist(), errors, strict=True):
+                found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
+        return found
     first = _as_measured(result, batch)
     inside = [np.flatnonzero(fold != k) for k in range(fold.max() + 1)]
     system, free, parts = result.system, result.system.estimated, len(inside)
@@ -456,38 +482,6 @@ def _as_measured(result: FitResult, batch: Batch) -> np.ndarray:
     hidden = [row for joint in result.system.joints for row in joint.hidden_rows(batch.outputs)]
     first[:, hidden] = batch.x[:, 0, hidden]
     return first.numpy()
-
-
-def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> list[np.ndarray]:
-    """The same of whole records, by finite steps, which see through stick and slip and play.
-
-    In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
-    then it starts where the linearised step without the part leads.
-    """
-    first = _as_measured(result, batch)
-    rippled = autocorrelation(result.residual) > CRITERIA.coloured
-    starts = started_without(result, batch, fold) if rippled else None
-    found: list[np.ndarray] = [np.empty(0)] * batch.rows
-    slopes = slopes_at(result.system, batch, result.engine, result.x0)  # where all these fits begin
-    for k in np.unique(fold):
-        inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
-        others = batch.take(inside)
-        settings = {
-            "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False,
-            "shares": STEPS[:1],
-        }  # fmt: skip
-        # where errors are noise, the slopes of all records lead to the others' minimum, too
-        known = {"begin" if rippled else "near": slopes.of_rows(inside.numpy())}
-        again = finite_difference_fit(result.system, others, **known, **settings)
-        if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
-            with suppress(InputError):  # a step may leave an arm no mass matrix
-                start = result.system.with_values(dict(zip(result.names, starts[k].tolist(), strict=True)))
-                again = finite_difference_fit(start, others, **settings)
-        rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
-        errors = rest.residuals(again.values[None], first[None, outside.numpy()])[0]
-        for row, error in zip(outside.tolist(), errors, strict=True):
-            found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
-    return found
 
 
 def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:

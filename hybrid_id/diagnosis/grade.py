@@ -148,7 +148,30 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     generator = np.random.default_rng(seed)
 
     def drawn(*, records: bool) -> np.ndarray:
-        return _nested(models, steps, structural, first.drawn(generator, records=records))
+        # draws of the shares (draws, n + 1), the remainder last: shares choose among rivals, too; it does
+        # not
+        weights = first.drawn(generator, records=records)
+        ends = [one.validation for one in models]
+        rivals = []
+        for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
+            # the step may have compared them beside other effects than the chosen ones: what counts is the
+            # distance to its best
+            shift = after.error / max(step.leader.error, 1e-300) if step.leader is not None else 1.0
+            some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
+            rivals.append((before.validation, some))
+        found = np.zeros((len(weights), len(models)))
+        for draw, weight in zip(found, weights, strict=True):
+
+            def over(one: Validation, weight: np.ndarray = weight) -> float:
+                return float(weight @ one.blocks / (weight @ one.sizes))
+
+            left, explained = structural * over(ends[-1]), over(ends[0]) - over(ends[-1])
+            gap = max(left + explained, left, -explained, 1e-300)
+            for k, (before, some) in enumerate(rivals):
+                draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
+            draw[-1] = left / gap
+        # of records that an effect serves worse than none: no share is more than all
+        return np.clip(found, -1.0, 1.0)
 
     # what a model leaves differs more from record to record than within one: blocks would make shares too sure
     draws, coloured = drawn(records=True), structural > CRITERIA.coloured
@@ -294,39 +317,6 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[Selec
         names.remove(last[0])
     steps = [order[name] for name in (*names, *last)]
     return ([base, *models] if chosen.effects else [base]), steps
-
-
-def _nested(
-    models: Sequence[FittedModel], steps: Sequence[SelectionStep], structural: float, weights: np.ndarray
-) -> np.ndarray:
-    """Draws of the shares ``(draws, n + 1)``, the remainder last: shares choose among rivals, too; it does not.
-
-    Args:
-        models: from the nominal one, an effect more each.
-        steps: in which each was found.
-        structural: share of what the last one leaves that has a cause.
-        weights: of the blocks in each draw, ``(draws, blocks)``.
-    """
-    ends = [one.validation for one in models]
-    rivals = []
-    for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
-        # the step may have compared them beside other effects than the chosen ones: their distance to its best counts
-        shift = after.error / max(step.leader.error, 1e-300) if step.leader is not None else 1.0
-        some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
-        rivals.append((before.validation, some))
-    found = np.zeros((len(weights), len(models)))
-    for draw, weight in zip(found, weights, strict=True):
-
-        def over(one: Validation, weight: np.ndarray = weight) -> float:
-            return float(weight @ one.blocks / (weight @ one.sizes))
-
-        left, explained = structural * over(ends[-1]), over(ends[0]) - over(ends[-1])
-        gap = max(left + explained, left, -explained, 1e-300)
-        for k, (before, some) in enumerate(rivals):
-            draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
-        draw[-1] = left / gap
-    # of records that an effect serves worse than none: no share is more than all
-    return np.clip(found, -1.0, 1.0)
 
 
 def _leaders(step: SelectionStep, after: FittedModel) -> list[FittedModel]:

@@ -106,7 +106,11 @@ def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float,
         u = opened.batch.u[name]
         most = float(u[valid].abs().max())
         yield "command", bumps(u, COMMANDS, -most, most), (-most, most, COMMANDS)
-        yield "command rate", torch.stack([u - _late(u, k) for k in (1, 2, 4, 8)], -1), None
+        yield (
+            "command rate",
+            torch.stack([u - torch.cat([u[:, :1].expand(-1, k), u[:, :-k]], 1) for k in (1, 2, 4, 8)], -1),
+            None,
+        )
         yield (
             "command, opposite to the velocity",
             torch.stack([u.abs() * sign, u * sign * sign, u * u.abs()], -1),
@@ -115,19 +119,7 @@ def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float,
         if opened.side == "motor":
             turn = q[..., None] * torch.tensor(TURNS, dtype=q.dtype)
             yield "command over the turn", u[..., None] * torch.cat([turn.cos(), turn.sin()], -1), None
-    yield HISTORY, _remembered(opened, v, sign), None
-    time = torch.cumsum(opened.batch.dt, 1)
-    wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
-    yield "time, opposite to the velocity", wear, None
-    yield "a resonance", _swinging(opened, v), None
-
-
-def _late(signal: Tensor, samples: int) -> Tensor:
-    return torch.cat([signal[:, :1].expand(-1, samples), signal[:, :-samples]], 1)
-
-
-def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
-    """Direction and speed less what they were on average of late."""
+    # direction and speed less what they were on average of late
     step = opened.batch.sample_time
     found = []
     for constant in MEMORY:
@@ -135,7 +127,11 @@ def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
         for signal in (sign, v):
             slow = lfilter([1 - keep], [1, -keep], signal.numpy(), axis=1)
             found.append(signal - torch.tensor(slow))
-    return torch.stack(found, -1)
+    yield HISTORY, torch.stack(found, -1), None
+    time = torch.cumsum(opened.batch.dt, 1)
+    wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
+    yield "time, opposite to the velocity", wear, None
+    yield "a resonance", _swinging(opened, v), None
 
 
 def _swinging(opened: Response, v: Tensor) -> Tensor:

@@ -148,7 +148,8 @@ def next_experiment(
         return []
     groups = np.repeat(np.arange(len(tied)), [len(group) for group in tied])
     pairs = [(a, b) for a, b in combinations(range(len(models)), 2) if groups[a] == groups[b]]
-    noise, offers, every = _noise(dataset), list[Experiment](), list[dict[Pair, _Differences]]()
+    noise = {name: std or 1.0 for name, std in sensor_noise(dataset).items()}
+    offers, every = list[Experiment](), list[dict[Pair, _Differences]]()
     for joint in models[0].system.joints:
         here = _offered(dataset, models[0].system, joint)
         if here is not None:
@@ -159,9 +160,35 @@ def next_experiment(
     if not offers:
         return []
     names = [name for group in tied for name in _names(group)]
-    return _chosen(
-        offers, {p: _joined([one[p] for one in every]) for p in every[0]}, pairs, models, names, thinned
-    )
+    # the records in the order in which they add most, each with what it and those before it distinguish
+    found = {p: _joined([one[p] for one in every]) for p in every[0]}
+    leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
+    known = [thinned * _information(one) for one in models]
+
+    def distances(rows: Sequence[int], *, outputs: bool = False) -> np.ndarray:
+        """Of each pair, by the one of both that follows the other better."""
+        squares = [
+            min(found[one].after(rows, known[one[1]], outputs=outputs) for one in ((a, b), (b, a)))
+            for a, b in pairs
+        ]
+        return np.sqrt(np.array(squares) / leaves)
+
+    def worth(rows: Sequence[int]) -> float:
+        # a pair that is distinguished already adds little: the others' turn
+        return float(np.log1p(len(rows) * np.square(distances(rows))).sum())
+
+    rows, result = list[int](), list[Experiment]()
+    usable = np.flatnonzero(np.all([one.finite for one in found.values()], axis=0)).tolist()
+    able = [k for k in usable if distances([k], outputs=True).max() >= DISTINGUISHABLE]
+    able = able or usable  # a record that shows nothing by itself is no witness
+    while len(rows) < min(RECORDS, len(able)):
+        rows.append(max((k for k in able if k not in rows), key=lambda k: worth([*rows, k])))
+        apart = distances(rows, outputs=True)
+        clear = apart >= DISTINGUISHABLE
+        shown = clear if clear.any() else apart == apart.max()
+        alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
+        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), undistinguished=alike))
+    return result
 
 
 # ---- what is offered ----
@@ -385,53 +412,10 @@ def _left_by(model: FittedModel, batch: Batch, records: Sequence[str]) -> _Diffe
 # ---- which of them together ----
 
 
-def _chosen(
-    offers: Sequence[Experiment],
-    found: Mapping[Pair, _Differences],
-    pairs: Sequence[Pair],
-    models: Sequence[FittedModel],
-    names: Sequence[str],
-    thinned: float,
-) -> list[Experiment]:
-    """The records in the order in which they add most, each with what it and those before it distinguish."""
-    leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
-    known = [thinned * _information(one) for one in models]
-
-    def distances(rows: Sequence[int], *, outputs: bool = False) -> np.ndarray:
-        """Of each pair, by the one of both that follows the other better."""
-        squares = [
-            min(found[one].after(rows, known[one[1]], outputs=outputs) for one in ((a, b), (b, a)))
-            for a, b in pairs
-        ]
-        return np.sqrt(np.array(squares) / leaves)
-
-    def worth(rows: Sequence[int]) -> float:
-        # a pair that is distinguished already adds little: the others' turn
-        return float(np.log1p(len(rows) * np.square(distances(rows))).sum())
-
-    rows, result = list[int](), list[Experiment]()
-    usable = np.flatnonzero(np.all([one.finite for one in found.values()], axis=0)).tolist()
-    able = [k for k in usable if distances([k], outputs=True).max() >= DISTINGUISHABLE]
-    able = able or usable  # a record that shows nothing by itself is no witness
-    while len(rows) < min(RECORDS, len(able)):
-        rows.append(max((k for k in able if k not in rows), key=lambda k: worth([*rows, k])))
-        apart = distances(rows, outputs=True)
-        clear = apart >= DISTINGUISHABLE
-        shown = clear if clear.any() else apart == apart.max()
-        alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
-        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), undistinguished=alike))
-    return result
-
-
 def _information(model: FittedModel) -> np.ndarray:
     """What the records at hand say of a model's parameters, its priors with it, ``(n_f, n_f)``."""
     parts = [part.reshape(-1, part.shape[-1]) for part in model.result.jacobian]
     return sum((part.T @ part for part in parts), np.diag(model.result.prior_precision))
-
-
-def _noise(dataset: Dataset) -> dict[str, float]:
-    """Noise of each output; 1 where no record shows any."""
-    return {name: std or 1.0 for name, std in sensor_noise(dataset).items()}
 
 
 def _room(dataset: Dataset, joint: Joint, name: str) -> tuple[float, float]:

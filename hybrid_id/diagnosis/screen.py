@@ -100,7 +100,18 @@ def selection_step(
             progress(stage, min(count[0], total), total)
 
     screened = screen(fits, nominal, before, near, tick)
-    finished = fit_finalists(fits, nominal, before, screened, tick)
+    # stage fit: the best candidates fitted to the end and then judged, by re-fits without the records that
+    # judge them
+    ranked = screened
+    # a first round for all finalists; each later one fits to the end who leads now, where that is another one
+    for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
+        chosen = best_of_each(ranked, key=effects_of)[:keep]
+        ranked = _further(
+            fits, nominal, before, [one for one in chosen if not one.judged], ranked, FULL, tick
+        )
+    if ranked and promising(ranked[0], before):
+        ranked = _polished(fits, nominal, before, ranked, tick)
+    finished = ranked
     ends = best_of_each(finished, key=effects_of, order=by_prediction)
     return SelectionStep(before, tuple(simplest_first(ends, before)))
 
@@ -127,33 +138,6 @@ def screen(
         if wave and not hidden_links(ranked[0].system, fits.records(before.system)):
             far += [task for task in near if task.effects == ranked[0].effects]
         ranked = best_of_each([*ranked, *_from_afar(fits, nominal, before, ranked, far, tick)], 2)
-    return ranked
-
-
-def fit_finalists(
-    fits: Fits,
-    nominal: System,
-    before: FittedModel,
-    ranked: list[FittedModel],
-    tick: Callable[[], object],
-) -> list[FittedModel]:
-    """Stage fit: the best candidates fitted to the end and then judged, by re-fits without the records that judge them.
-
-    Args:
-        fits: fits models to the train records.
-        nominal: the nominal system.
-        before: the model that the effects are added to.
-        ranked: the candidates as they were screened.
-        tick: called after each fit.
-    """
-    # a first round for all finalists; each later one fits to the end who leads now, where that is another one
-    for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
-        chosen = best_of_each(ranked, key=effects_of)[:keep]
-        ranked = _further(
-            fits, nominal, before, [one for one in chosen if not one.judged], ranked, FULL, tick
-        )
-    if ranked and promising(ranked[0], before):
-        ranked = _polished(fits, nominal, before, ranked, tick)
     return ranked
 
 

@@ -201,7 +201,11 @@ def _search(
         if before.effects:
             so_far.model = _necessary(fits, so_far.base, so_far.model, steps)
             steps[:] = [_with_fit(one, so_far.model) for one in steps]
-            if len(so_far.model.effects) <= len(before.effects) and not _better_set(so_far.model, before):
+            if len(so_far.model.effects) <= len(before.effects) and not (
+                so_far.model.error < before.error
+                and bool(so_far.model.effects)
+                and so_far.model.effects != before.effects
+            ):
                 break
     so_far.asked = None
 
@@ -390,11 +394,6 @@ def _with_fit(step: SelectionStep, model: FittedModel) -> SelectionStep:
         return step
     ends = sorted((model if e is known else e for e in step.candidates), key=by_prediction)
     return _accepted_first(replace(step, candidates=tuple(simplest_first(ends, step.before))))
-
-
-def _better_set(model: FittedModel, before: FittedModel) -> bool:
-    """Whether other effects than before predict better than those did."""
-    return model.error < before.error and bool(model.effects) and model.effects != before.effects
 
 
 def leaves_something(model: FittedModel) -> bool:
