@@ -315,7 +315,19 @@ def diagnose_arm(
     """
     system = within_reach(system)
     dataset, skews = _at_one_time(dataset, system)
-    names, skipped = _to_diagnose(dataset, system, joints)
+    # the joints to diagnose, those of a coupled gear as one, and those that are left out, each with why
+    able, skipped = joints_to_diagnose(dataset, system)
+    asked = able if joints is None else asked_parts(system, joints)
+    for name, part in zip(joints or (), asked, strict=False):
+        if part in skipped:
+            raise InputError(
+                f"Joint '{name}' cannot be diagnosed by itself: {skipped[part]}; take it out of --joint."
+            )
+    names = [name for name in able if name in asked]
+    skipped |= {name: NOT_ASKED for name in able if name not in names}
+    if not names:
+        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
+        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
     searched = partial(
         _searched, dataset, skipped=skipped, kept=kept, progress=progress, horizon=horizon, max_effects=max_effects,
         jobs=jobs, seed=seed, signal_share=signal_share,
@@ -332,7 +344,24 @@ def diagnose_arm(
             robot = replace(robot, answers=_checked(robot))
         except KeyboardInterrupt:
             stopped = True
-    done = _reported(robot, found, skews, skipped, level)
+    # the joints' diagnoses; those that fail are skipped. Stopped after one it has those that are there
+    done = dict[str, Diagnosis]()
+    for name, (measured, _) in found.items():
+        own = (one for one in skews if f"joint{number_of(one.channel)}" in robot.keys(name))
+        measured = replace(measured, skews=(*own, *measured.skews))
+        try:
+            done[name] = reported(
+                measured, robot.drives[name], robot.answers[name], seed=robot.seed, level=level
+            )
+        except InputError as error:
+            if len(found) == 1:
+                raise
+            skipped[name] = str(error).removesuffix(".")
+        except KeyboardInterrupt:
+            if not done:
+                raise
+            break
+    _raise_without_any(done, skipped)
     lacking = [name for name in found if name not in done and name not in skipped]
     lacking += [name for name in names if name not in first and name not in skipped]
     skipped |= dict.fromkeys(lacking, STOPPED)
@@ -421,49 +450,6 @@ def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew,
     with suppress(InputError):
         return dataset.without_skew({one.channel: one.late for one in skews}), skews
     return dataset, ()
-
-
-def _to_diagnose(
-    dataset: Dataset, system: System, joints: Sequence[str] | None
-) -> tuple[list[str], dict[str, str]]:
-    """The joints to diagnose, those of a coupled gear as one, and those that are left out, each with why."""
-    able, skipped = joints_to_diagnose(dataset, system)
-    asked = able if joints is None else asked_parts(system, joints)
-    for name, part in zip(joints or (), asked, strict=False):
-        if part in skipped:
-            raise InputError(
-                f"Joint '{name}' cannot be diagnosed by itself: {skipped[part]}; take it out of --joint."
-            )
-    names = [name for name in able if name in asked]
-    skipped |= {name: NOT_ASKED for name in able if name not in names}
-    if not names:
-        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
-    return names, skipped
-
-
-def _reported(
-    robot: WholeRobot, found: Found, skews: Sequence[Skew], skipped: dict[str, str], level: float
-) -> dict[str, Diagnosis]:
-    """The joints' diagnoses; those that fail are ``skipped``. Stopped after one it has those that are there."""
-    done = dict[str, Diagnosis]()
-    for name, (measured, _) in found.items():
-        own = (one for one in skews if f"joint{number_of(one.channel)}" in robot.keys(name))
-        measured = replace(measured, skews=(*own, *measured.skews))
-        try:
-            done[name] = reported(
-                measured, robot.drives[name], robot.answers[name], seed=robot.seed, level=level
-            )
-        except InputError as error:
-            if len(found) == 1:
-                raise
-            skipped[name] = str(error).removesuffix(".")
-        except KeyboardInterrupt:
-            if not done:
-                raise
-            break
-    _raise_without_any(done, skipped)
-    return done
 
 
 def _checked(robot: WholeRobot) -> Mapping[str, Answer]:

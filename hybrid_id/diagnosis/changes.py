@@ -117,13 +117,35 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         nominal: the model before the re-fit.
         fit: its re-fit; parameters that are held or that the nominal model does not have do not count.
     """
-    kept, change, error = _relative(nominal, fit)
+    # which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p)
+    before = {info.name: info.spec.value for info in nominal.table}
+    kept = [k for k, name in enumerate(fit.names) if before.get(name) or (name in before and fit.values[k])]
+    start = np.array([before[fit.names[k]] for k in kept])
+    values = fit.values[kept]
+    positive = (start > 0) & (values > 1e-3 * start)
+    expected = np.where(positive, np.abs(values), np.maximum(np.abs(values), np.abs(start)))
+    ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
+    change = np.where(positive, np.log(ratio), (values - start) / expected)
+    # the data's own estimate: without the pull of the user's priors towards their means
+    own = {info.name: info.spec.prior_mean for info in nominal.table}
+    means = [v if own.get(n) is None else own[n] for n, v in zip(fit.names, fit.values, strict=True)]
+    pull = fit.prior_precision * (fit.values - np.array(means))
+    matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
+    if matched:
+        spread = robust_covariance(*fit.of_records())
+    else:
+        even = [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
+        spread = covariance(fit.jacobian, even)
+    change = change + (spread.inverse_hessian @ pull)[kept] / expected
+    root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
+    root = root * expected
+    information = root.T @ root
+    cov = spread.matrix[np.ix_(kept, kept)] / np.outer(expected, expected)
     names = tuple(fit.names[k] for k in kept)
     if not names:
         return _nothing()
     infos = [nominal.parameter(name) for name in names]
     # axes (p, m) of relative changes that the records identify, and the covariance along them (m, m)
-    information, cov = error
     squares, vectors = np.linalg.eigh(information)
     along = np.einsum("ij,ik,kj->j", vectors, cov, vectors)
     axes = vectors[:, (squares > 1e-12 * squares[-1]) & (along < VAGUE**2)]
@@ -147,7 +169,27 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         if s is not chosen
     )
     if chosen is not None:
-        one = _single(nominal, names, passing, total)
+        # the first of the changes that leave nothing sure; the others are indistinguishable from it
+        best = passing[0]
+        one, size, size_std = best.hypothesis, *(x[best.hypothesis.lead] for x in (best.sizes, best.errors))
+        others = tuple(dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name))
+        said = _capital(_words(nominal, best, names))
+        if others:
+            listed = ", ".join(name.replace("_", " ") for name in others)
+            said += f"; indistinguishable in these records from a change of {listed}"
+        one = ParameterChange(
+            name=one.name,
+            joint=one.joint,
+            size=float(np.expm1(size)),
+            interval=(
+                float(np.expm1(size - HALF_WIDTH * size_std)),
+                float(np.expm1(size + HALF_WIDTH * size_std)),
+            ),
+            parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
+            explained=1.0 - best.left / total,
+            words=said,
+            indistinguishable_from=others,
+        )
     else:
         # where no torque is known, changes that differ by the scale of all torques are indistinguishable
         parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
@@ -178,29 +220,6 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     return replace(one, rejected=rejected)
 
 
-def _single(
-    nominal: System, names: tuple[str, ...], passing: list[_Solution], total: float
-) -> ParameterChange:
-    """The first of the changes that leave nothing sure; the others are indistinguishable from it."""
-    chosen = passing[0]
-    one, size, error = chosen.hypothesis, *(x[chosen.hypothesis.lead] for x in (chosen.sizes, chosen.errors))
-    others = tuple(dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name))
-    words = _capital(_words(nominal, chosen, names))
-    if others:
-        listed = ", ".join(name.replace("_", " ") for name in others)
-        words += f"; indistinguishable in these records from a change of {listed}"
-    return ParameterChange(
-        name=one.name,
-        joint=one.joint,
-        size=float(np.expm1(size)),
-        interval=(float(np.expm1(size - HALF_WIDTH * error)), float(np.expm1(size + HALF_WIDTH * error))),
-        parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
-        explained=1.0 - chosen.left / total,
-        words=words,
-        indistinguishable_from=others,
-    )
-
-
 def _capital(words: str) -> str:
     return words[:1].upper() + words[1:]
 
@@ -211,36 +230,6 @@ def _nothing() -> ParameterChange:
         f"±{100 * HALF_WIDTH * NOMINAL:.0f} % (95 %) to which any nominal value is known, all taken together."
     )
     return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), 0.0, words)
-
-
-def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """Which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p).
-
-    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value. One
-    that is zero before and after has not moved and has no size to be relative to: it does not count.
-    """
-    before = {info.name: info.spec.value for info in nominal.table}
-    kept = [k for k, name in enumerate(fit.names) if before.get(name) or (name in before and fit.values[k])]
-    start = np.array([before[fit.names[k]] for k in kept])
-    values = fit.values[kept]
-    positive = (start > 0) & (values > 1e-3 * start)
-    size = np.where(positive, np.abs(values), np.maximum(np.abs(values), np.abs(start)))
-    ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
-    change = np.where(positive, np.log(ratio), (values - start) / size)
-    # the data's own estimate: without the pull of the user's priors towards their means
-    own = {info.name: info.spec.prior_mean for info in nominal.table}
-    means = [v if own.get(n) is None else own[n] for n, v in zip(fit.names, fit.values, strict=True)]
-    pull = fit.prior_precision * (fit.values - np.array(means))
-    matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
-    if matched:
-        cov = robust_covariance(*fit.of_records())
-    else:
-        even = [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
-        cov = covariance(fit.jacobian, even)
-    change = change + (cov.inverse_hessian @ pull)[kept] / size
-    root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
-    root = root * size
-    return kept, change, np.stack([root.T @ root, cov.matrix[np.ix_(kept, kept)] / np.outer(size, size)])
 
 
 def _solve(hypothesis: _Hypothesis, whitened_axes: np.ndarray, moved: np.ndarray) -> _Solution:

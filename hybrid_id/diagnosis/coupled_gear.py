@@ -86,7 +86,22 @@ def with_gears(system: System, gears: Sequence[CoupledGear]) -> System:
 def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
     """The gears that the records show, the likeliest first; of a joint at most one."""
     found = list[CoupledGear]()
-    pairs = _pairs(robot)
+    # neighbours that both lack something, one of them outside the catalogue, angles logged, and driven by no loop
+    tree, pairs = cast(RigidBodyTree, robot.nominal.tree), []
+    logged = {channel.name for channel in robot.dataset.outputs}
+    for driven, own in enumerate(tree.joints):
+        pair = (own.parent, driven)
+        names = [tree.names[k] for k in pair if k >= 0]
+        lacking = [
+            answer
+            for name in names
+            if (answer := robot.answers.get(name)) is not None
+            and bool(answer.grade.unknown or answer.found.chosen.effects)
+        ]
+        able = len(lacking) == 2 and any(answer.grade.unknown for answer in lacking)
+        able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
+        if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
+            pairs.append(pair)
     for done, (joint, motor) in enumerate(pairs):
         robot.say("coupled gears", done, len(pairs))
         if (one := _gear(robot, joint, motor)) is not None:
@@ -98,29 +113,6 @@ def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
         ):
             kept.append(one)
     return tuple(kept)
-
-
-def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
-    """Neighbours that both lack something, one of them outside the catalogue, angles logged, and driven by no loop.
-
-    A loop over the motor's own angle would lead the joint astray wherever its neighbour goes, which nobody overlooks.
-    """
-    tree, found = cast(RigidBodyTree, robot.nominal.tree), []
-    logged = {channel.name for channel in robot.dataset.outputs}
-    for motor, own in enumerate(tree.joints):
-        pair = (own.parent, motor)
-        names = [tree.names[k] for k in pair if k >= 0]
-        lacking = [
-            one
-            for name in names
-            if (one := robot.answers.get(name)) is not None
-            and bool(one.grade.unknown or one.found.chosen.effects)
-        ]
-        able = len(lacking) == 2 and any(one.grade.unknown for one in lacking)
-        able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
-        if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
-            found.append(pair)
-    return found
 
 
 def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:

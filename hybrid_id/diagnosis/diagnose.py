@@ -441,7 +441,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         own = (found.own or per_record(fits, chosen, system)) if structural > CRITERIA.coloured else None
         if own is not None:
             structural = 0.0 if own.explained else structural_share(chosen, after, own.autocorrelation)
-            found = _for_all_records(found, own)
+            found = replace(found, chosen=own.model, base=found.base if own.model.effects else own.model)
         varying = () if own is None else own.varying
         graded = grade(fits, found, structural, seed=seed)
         unsure = doubtful(graded)
@@ -449,7 +449,12 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
             break
         name = unsure[-1]
         rest = best_without(fits, found.base, chosen, name, found.steps) or found.base
-        rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
+        # the record without which the model predicts no better than the simpler one; empty where there is none
+        record = None
+        if found.chosen.judged and rest.judged:
+            record = found.chosen.validation.rests_on(rest.validation)
+        judging = fits.dataset.validation or fits.dataset.train
+        rejected[_in_words(name)] = "" if record is None else judging[record].name
         found = replace(found, chosen=rest, unsure=(*found.unsure, name))
     nothing = not found.chosen.effects and not graded.unknown and not varying
     identified = (
@@ -474,14 +479,6 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
 
 
-def _rests_on(fits: Fits, richer: FittedModel, simpler: FittedModel) -> str:
-    """Name of the record without which a model predicts no better than a simpler one; empty where there is none."""
-    if not (richer.judged and simpler.judged):
-        return ""
-    record = richer.validation.rests_on(simpler.validation)
-    return "" if record is None else (fits.dataset.validation or fits.dataset.train)[record].name
-
-
 def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: int = 0) -> Answer:
     """A joint's answer frozen once more, by a search that the whole robot has changed; what was rejected stays so.
 
@@ -497,13 +494,6 @@ def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: i
 def _in_words(name: Name) -> str:
     """An effect and its place."""
     return f"{name[0]} at {name[1]}"
-
-
-def _for_all_records(found: Selection, own: PerRecord) -> Selection:
-    """The search with the model whose values stand for all records."""
-    if own.model.effects:
-        return replace(found, chosen=own.model)
-    return replace(found, chosen=own.model, base=own.model)
 
 
 def _final(fits: Fits, found: Selection) -> Selection:
@@ -567,7 +557,16 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
     rest = last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))
     floor = min(max(last.noise, rest if again is None else again), last.nrmse)
     gap = replace(shrink(first, last, floor, seed=seed), repeated=again is not None)
-    differs = _rest_differs(fits, base, chosen, last)
+    # Whether free runs over the test records are lost at other rest positions, although the model is right about them:
+    # by windows that begin at measured states, where it leaves next to nothing of what the re-fitted model leaves.
+    differs, coloured = False, last.autocorrelation > CRITERIA.coloured
+    if fits.whole and coloured and chosen.effects and not behind_play(chosen):
+        squares = []
+        for model in (base.system, chosen.system):
+            batch = batch_of(fits.dataset, model, fits.dataset.test, fits.signal_share, "cpu")
+            found = window_errors(model, engine(), batch, WINDOW)
+            squares.append(sum(float(np.square(one).sum()) for one in found))
+        differs = 0.0 < squares[1] < CRITERIA.left_open * squares[0]
     return Tested(nominal, first, last, gap, "" if differs else _contradiction(answer, gap, last), differs)
 
 
@@ -587,27 +586,6 @@ def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:
             "again."
         )
     return ""
-
-
-def _rest_differs(fits: Fits, base: FittedModel, chosen: FittedModel, last: Errors) -> bool:
-    """Whether free runs over the test records are lost at other rest positions, although the model is right about them.
-
-    Such a model is judged by windows that begin at measured states: of what the re-fitted model leaves there, it has to
-    leave next to nothing.
-    """
-    if (
-        not fits.whole
-        or last.autocorrelation <= CRITERIA.coloured
-        or not chosen.effects
-        or behind_play(chosen)
-    ):
-        return False
-    left = []
-    for system in (base.system, chosen.system):
-        batch = batch_of(fits.dataset, system, fits.dataset.test, fits.signal_share, "cpu")
-        found = window_errors(system, engine(), batch, WINDOW)
-        left.append(sum(float(np.square(one).sum()) for one in found))
-    return 0.0 < left[1] < CRITERIA.left_open * left[0]
 
 
 def _changes(answer: Answer, system: System) -> str:

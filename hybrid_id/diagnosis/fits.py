@@ -180,7 +180,16 @@ class Fits:
             round(SUBSTEP_RATE * batch.sample_time), 2 * with_substeps(system, engine(), batch).substeps, 1
         )
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
-        best = self._best([Task((), near.system, x0=near.x0), Task((), system)])
+        # the fit from several starts that ends lowest; the first that leaves no more than noise is enough
+        starts = [Task((), near.system, x0=near.x0), Task((), system)]
+        fitted_ends = list[FittedModel]()
+        for start in starts:
+            fitted_ends += [
+                end for end in self.run([replace(start, judged_below=0.0)], FULL) if end is not None
+            ]
+            if fitted_ends and fitted_ends[-1].white:
+                break
+        best = min(fitted_ends, key=lambda e: e.result.cost, default=None)
         if best is None:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
@@ -199,15 +208,6 @@ class Fits:
         best = min(judged, key=lambda e: e.result.cost, default=best)
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
-
-    def _best(self, starts: Sequence[Task]) -> FittedModel | None:
-        """The fit from several starts that ends lowest; the first that leaves no more than noise is enough."""
-        ends = list[FittedModel]()
-        for start in starts:
-            ends += [end for end in self.run([replace(start, judged_below=0.0)], FULL) if end is not None]
-            if ends and ends[-1].white:
-                break
-        return min(ends, key=lambda e: e.result.cost, default=None)
 
     def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
         """The nominal model with its parameters held as closely as predicts records left out best.
@@ -356,7 +356,21 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
         batch = fits.batch(task.system)
         hidden = fits.whole and hidden_links(task.system, batch)
         if not fits.whole:
-            result = _over_windows(fits, task, batch, iterations)
+            # the fit to windows from the start, or from where a fit over short ones has ended, whichever ends lower
+            ends = [_within(fits.engine, task.system, batch, iterations)]
+            if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
+                with suppress(*FAILURES):
+                    short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
+                    near = _within(fits.engine, task.system, short, iterations)
+                    ends.append(_within(fits.engine, near.system, batch, iterations))
+            end = min(ends, key=lambda end: end.cost)
+            if iterations < FULL:
+                result = end
+            else:
+                records, options = fits.records(task.system), _near(FINER)
+                result = settled(
+                    [end], fits.horizon, records, engine=fits.engine, options=options, warm=False
+                )[0]
         elif hidden or iterations <= COARSE:
             result = finite_difference_fit(
                 task.system, batch, engine=fits.engine, iterations=iterations, near=task.near, x0=task.x0
@@ -523,25 +537,6 @@ def _both_ways(
             finite_difference_fit(system, batch, engine=how, iterations=iterations, x0=x0, least_gain=SLOW)
         )
     return ends
-
-
-def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitResult:
-    """The fit to windows from the start, or from where a fit over short ones has ended, whichever ends lower.
-
-    Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all. Only
-    the last fit goes on until its hidden first states are those of its own values: earlier ones are cut anew anyway.
-    """
-    ends = [_within(fits.engine, task.system, batch, iterations)]
-    if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
-        with suppress(*FAILURES):
-            short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
-            near = _within(fits.engine, task.system, short, iterations)
-            ends.append(_within(fits.engine, near.system, batch, iterations))
-    end = min(ends, key=lambda end: end.cost)
-    if iterations < FULL:
-        return end
-    records, options = fits.records(task.system), _near(FINER)
-    return settled([end], fits.horizon, records, engine=fits.engine, options=options, warm=False)[0]
 
 
 def _near(iterations: int) -> Options:

@@ -138,7 +138,32 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         structural: share of what the chosen model leaves that has a cause.
         seed: of the bootstrap.
     """
-    models, steps = _ladder(fits, found)
+    # models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect
+    chosen, base = found.chosen, found.base
+    order: dict[Name, SelectionStep] = {}
+    for leading in found.steps:
+        if (
+            leading.leader is not None
+            and (name := added_effect(leading.leader, leading.before)) in chosen.effects
+        ):
+            order.setdefault(name, leading)
+    for name in chosen.effects:
+        order.setdefault(name, SelectionStep(base, (chosen,)))
+    models, names, end = [chosen], list(order), list[Name]()
+    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.judged]
+    while len(names) > 1:
+        rests = [tuple(sorted(set(names) - {name})) for name in names]
+        simpler = [e for e in known if e.effects in rests]
+        if not any(e.effects == rests[-1] for e in simpler):
+            again = refitted_without(fits, base, models[0], names[-1])
+            simpler += [] if again is None else [again]
+        if not simpler:
+            break
+        models.insert(0, min(simpler, key=lambda e: e.error))
+        end.insert(0, added_effect(models[1], models[0]))
+        names.remove(end[0])
+    steps = [order[name] for name in (*names, *end)]
+    models = [base, *models] if chosen.effects else [base]
     first, last = models[0].validation, models[-1].validation
     floor = last.error * (1.0 - structural)
     # no share is more than all, nor where the model predicts worse than nothing
@@ -242,7 +267,14 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     remainder, surely, most = (left * r / gap for r in (found.remainder, *found.remainder_interval))
     lacks = found.coloured and left > CRITERIA.coloured and surely >= CRITERIA.substantial
     bare = gap if lacks else max(1.0 - found.remainder, 1e-12)
-    doubt = _of_an_image(found.effects, remainder)
+    # factors on the probabilities of selected effects and what they are tied with, name@where, by what remains
+    doubt: dict[str, float] = {}
+    for candidate in found.effects:
+        if candidate.selected:
+            reach = 1.0 - remainder * max(candidate.together - CRITERIA.least_probability, 0.0) / max(
+                candidate.together, 1e-12
+            )
+            doubt |= dict.fromkeys((f"{candidate.name}@{candidate.where}", *candidate.tied_with), reach)
 
     def rated(c: RatedEffect) -> RatedEffect:
         known = (c.name, c.where) in refuted
@@ -273,50 +305,8 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     )
 
 
-def _of_an_image(effects: Sequence[RatedEffect], remainder: float) -> dict[str, float]:
-    """Factors on the probabilities of selected effects and what they are tied with, ``name@where``, by what remains."""
-    found: dict[str, float] = {}
-    for c in effects:
-        if c.selected:
-            factor = 1.0 - remainder * max(c.together - CRITERIA.least_probability, 0.0) / max(
-                c.together, 1e-12
-            )
-            found |= dict.fromkeys((f"{c.name}@{c.where}", *c.tied_with), factor)
-    return found
-
-
 def _in_order(effects: Iterable[RatedEffect]) -> tuple[RatedEffect, ...]:
     return tuple(sorted(effects, key=lambda one: one.rank))
-
-
-def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[SelectionStep]]:
-    """Models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect.
-
-    Last comes the effect without which the others predict best, as far as they have been fitted: each explains what it
-    can before the smaller ones may, in whatever order they were found.
-    """
-    chosen, base = found.chosen, found.base
-    order: dict[Name, SelectionStep] = {}
-    for step in found.steps:
-        if step.leader is not None and (name := added_effect(step.leader, step.before)) in chosen.effects:
-            order.setdefault(name, step)
-    for name in chosen.effects:
-        order.setdefault(name, SelectionStep(base, (chosen,)))
-    models, names, last = [chosen], list(order), list[Name]()
-    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.judged]
-    while len(names) > 1:
-        rests = [tuple(sorted(set(names) - {name})) for name in names]
-        simpler = [e for e in known if e.effects in rests]
-        if not any(e.effects == rests[-1] for e in simpler):
-            again = refitted_without(fits, base, models[0], names[-1])
-            simpler += [] if again is None else [again]
-        if not simpler:
-            break
-        models.insert(0, min(simpler, key=lambda e: e.error))
-        last.insert(0, added_effect(models[1], models[0]))
-        names.remove(last[0])
-    steps = [order[name] for name in (*names, *last)]
-    return ([base, *models] if chosen.effects else [base]), steps
 
 
 def _leaders(step: SelectionStep, after: FittedModel) -> list[FittedModel]:

@@ -240,10 +240,38 @@ def _offered(dataset: Dataset, system: System, joint: Joint) -> _Offer | None:
     )
     if logged is None:
         return None
-    loop = _loop(dataset, system, joint, logged)
+    # that of a robot's joint which its records command in torque, of at most the torque that they have seen
+    if system.tree is None or stem(logged) != "tau":
+        loop = None
+    else:
+        rotor = sum(
+            info.spec.value
+            for info in system.table
+            if info.component.startswith(f"{joint.name}/") and info.spec.unit == "kg m^2"
+        )
+        inertia = (
+            system.tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
+        )
+        rate = 2.0 * np.pi * LOOP
+        most = joint.gear_ratio * max(float(np.abs(record.inputs[logged]).max()) for record in dataset.train)
+        loop = _Loop(inertia * rate**2, 2.0 * DAMPING * inertia * rate, most)
     channel = logged if loop is None else f"goal{joint.number}"
     time = np.arange(0.0, DURATION, reference.sample_time)
-    centre, amplitude = _room(dataset, joint, channel)
+    # centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached
+    if channel in dataset.train[0].inputs:
+        values = np.concatenate([record.inputs[channel] for record in dataset.train])
+    else:  # the goals were not logged: where the joint has been
+        link, motor = f"q_a{joint.number}", f"q_m{joint.number}"
+        values = np.concatenate(
+            [
+                r.outputs[link] if link in r.outputs else r.outputs[motor] / joint.gear_ratio
+                for r in dataset.train
+            ]
+        )
+    if stem(channel) in DRIVES:
+        centre, amplitude = 0.0, float(np.abs(values).max())
+    else:
+        centre, amplitude = float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
     start = {name: float(values[0]) for name, values in reference.outputs.items()}
     if stem(channel) == "goal" and system.tree is not None:  # to where its goals begin it is moved before
         here = {f"q_a{joint.number}": centre, f"q_m{joint.number}": centre * joint.gear_ratio}
@@ -266,21 +294,6 @@ def _offered(dataset: Dataset, system: System, joint: Joint) -> _Offer | None:
                 )
             )
     return _Offer(joint, tuple(found), loop, logged)
-
-
-def _loop(dataset: Dataset, system: System, joint: Joint, channel: str) -> _Loop | None:
-    """That of a robot's joint which its records command in torque, of at most the torque that they have seen."""
-    if system.tree is None or stem(channel) != "tau":
-        return None
-    rotor = sum(
-        info.spec.value
-        for info in system.table
-        if info.component.startswith(f"{joint.name}/") and info.spec.unit == "kg m^2"
-    )
-    inertia = system.tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
-    rate = 2.0 * np.pi * LOOP
-    most = joint.gear_ratio * max(float(np.abs(record.inputs[channel]).max()) for record in dataset.train)
-    return _Loop(inertia * rate**2, 2.0 * DAMPING * inertia * rate, most)
 
 
 # ---- what each model does under it, and how far the others can follow ----
@@ -416,20 +429,6 @@ def _information(model: FittedModel) -> np.ndarray:
     """What the records at hand say of a model's parameters, its priors with it, ``(n_f, n_f)``."""
     parts = [part.reshape(-1, part.shape[-1]) for part in model.result.jacobian]
     return sum((part.T @ part for part in parts), np.diag(model.result.prior_precision))
-
-
-def _room(dataset: Dataset, joint: Joint, name: str) -> tuple[float, float]:
-    """Centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached."""
-    if name in dataset.train[0].inputs:
-        values = np.concatenate([record.inputs[name] for record in dataset.train])
-    else:  # the goals were not logged: where the joint has been
-        link, motor = f"q_a{joint.number}", f"q_m{joint.number}"
-        values = np.concatenate([
-            r.outputs[link] if link in r.outputs else r.outputs[motor] / joint.gear_ratio for r in dataset.train
-        ])  # fmt: skip
-    if stem(name) in DRIVES:
-        return 0.0, float(np.abs(values).max())
-    return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
 
 
 def _names(models: Sequence[FittedModel]) -> list[str]:

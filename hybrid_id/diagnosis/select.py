@@ -181,11 +181,41 @@ def _search(
         steps.append(step)
         best, swaps = step.leader, list[SelectionStep]()
         if best is not None and model.effects and promising(best, model):
-            swaps = _swaps(fits, so_far.base, best, steps)
+            # each earlier effect against those that explained as much as it did when it stood alone, now beside the
+            # others
+            swaps = []
+            for one in steps:
+                name = None if one.swap or one.leader is None else added_effect(one.leader, one.before)
+                if name not in best.effects or one.leader is None or one.leader.effects == best.effects:
+                    continue
+                rest = without(best.system, so_far.base.system, name)
+                if rest is None:
+                    continue
+                near = one.leader.error / (1.0 - CRITERIA.distinct_fall)
+                rivals = [e for e in one.candidates[1:] if e.judged and e.error < near][:FINALISTS]
+                tasks = swapped(rest, tuple(e for e in best.effects if e != name), rivals, one.before)
+                ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
+                alone = refitted_without(fits, so_far.base, best, name) if ends else None
+                if alone is not None:
+                    ranked = sorted((*ends, best), key=lambda e: e.error)
+                    if ranked[0].no_structure:
+                        # of equals the one that was found first leads
+                        better = ranked[0].validation.fall(best.validation) > CRITERIA.least_fall
+                        leading = ranked[0] if better else best
+                    else:
+                        leading = simplest_first(ranked, alone)[0]
+                    swaps.append(
+                        SelectionStep(alone, (leading, *(e for e in ranked if e is not leading)), swap=True)
+                    )
             best = min((s.leader for s in swaps if s.leader is not None), key=lambda e: e.error, default=best)
         if best is None or not accepted(best, model, step.candidates):
             break
-        before = _refit_before(fits, so_far.base, best, model)
+        # the model that a step has begun with, fitted again from where the best with one more effect has ended
+        if not set(model.effects) < set(best.effects):
+            before = model
+        else:
+            again = refitted_without(fits, so_far.base, best, added_effect(best, model), known=model)
+            before = again if again is not None and again.error < model.error else model
         so_far.base = so_far.base if before.effects else before
         steps[:] = [*(_with_fit(one, before) for one in steps[:-1]), replace(step, before=before)]
         if not accepted(best, before, step.candidates):
@@ -208,18 +238,6 @@ def _search(
             ):
                 break
     so_far.asked = None
-
-
-def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: FittedModel) -> FittedModel:
-    """The model that a step has begun with, fitted again from where the best with one more effect has ended.
-
-    As it was where that predicts no better, or the best has other effects: a new effect may only have freed the fit of
-    the others, and would be accepted for it.
-    """
-    if not set(model.effects) < set(best.effects):
-        return model
-    again = refitted_without(fits, base, best, added_effect(best, model), known=model)
-    return again if again is not None and again.error < model.error else model
 
 
 def _accepted_first(step: SelectionStep) -> SelectionStep:
@@ -307,35 +325,6 @@ def refitted_without(
         return known
     end = fits.run([Task(rest, found.system, judged_below=below)], FULL)[0]
     return known if end is None or not end.judged else end
-
-
-def _swaps(
-    fits: Fits, base: FittedModel, chosen: FittedModel, steps: Sequence[SelectionStep]
-) -> list[SelectionStep]:
-    """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
-    found = []
-    for one in steps:
-        name = None if one.swap or one.leader is None else added_effect(one.leader, one.before)
-        if name not in chosen.effects or one.leader is None or one.leader.effects == chosen.effects:
-            continue
-        rest = without(chosen.system, base.system, name)
-        if rest is None:
-            continue
-        near = one.leader.error / (1.0 - CRITERIA.distinct_fall)
-        rivals = [e for e in one.candidates[1:] if e.judged and e.error < near][:FINALISTS]
-        tasks = swapped(rest, tuple(e for e in chosen.effects if e != name), rivals, one.before)
-        ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
-        alone = refitted_without(fits, base, chosen, name) if ends else None
-        if alone is not None:
-            ranked = sorted((*ends, chosen), key=lambda e: e.error)
-            if ranked[0].no_structure:
-                # of equals the one that was found first leads
-                better = ranked[0].validation.fall(chosen.validation) > CRITERIA.least_fall
-                first = ranked[0] if better else chosen
-            else:
-                first = simplest_first(ranked, alone)[0]
-            found.append(SelectionStep(alone, (first, *(e for e in ranked if e is not first)), swap=True))
-    return found
 
 
 def _freed(fits: Fits, chosen: FittedModel) -> FittedModel:

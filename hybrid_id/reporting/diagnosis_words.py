@@ -273,7 +273,19 @@ def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
     for group in diagnosis.ties:
         members = [_member(member) for member in group]
         names = ", ".join(_at(*member, diagnosis.model) for member in members)
-        words = _excitations(members, brief)
+        # what would distinguish the members of a tie, pairs with the first one first; each excitation is said once
+        found: dict[str, list[str]] = {}
+        for one, other in combinations(members, 2):
+            pair = f"{words_of(one[0])} and {words_of(other[0])}"
+            if one[0] == other[0]:
+                pair = f"the places of {words_of(one[0])}"
+            if words := separation(one, other):
+                pairs = found.setdefault(words.partition(": ")[0] if brief else words, [])
+                pairs += [pair] if pair not in pairs else []
+        if brief or len(members) == 2:
+            words = "; ".join(found)
+        else:
+            words = "; ".join(f"for {', and for '.join(pairs)}, {words}" for words, pairs in found.items())
         advice = f" What would distinguish them: {words}." if words else ""
         lines.append(f"indistinguishable on these records: {names}.{advice}")
     return lines
@@ -299,21 +311,6 @@ def unselected_tie_lines(diagnosis: Diagnosis) -> list[str]:
         f"{also}indistinguishable on these records, of effects that are not selected: {'; '.join(said)}. No experiment "
         "is proposed for these."
     ]
-
-
-def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
-    """What would distinguish the members of a tie, pairs with the first one first; each excitation is said once."""
-    found: dict[str, list[str]] = {}
-    for one, other in combinations(members, 2):
-        pair = f"{words_of(one[0])} and {words_of(other[0])}"
-        if one[0] == other[0]:
-            pair = f"the places of {words_of(one[0])}"
-        if words := separation(one, other):
-            pairs = found.setdefault(words.partition(": ")[0] if brief else words, [])
-            pairs += [pair] if pair not in pairs else []
-    if brief or len(members) == 2:
-        return "; ".join(found)
-    return "; ".join(f"for {', and for '.join(pairs)}, {words}" for words, pairs in found.items())
 
 
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
