@@ -151,33 +151,30 @@ class ArmDiagnosis:
 
     def rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
         """Effects of the robot in their order, each as the robot and as its joint by itself has it, and that joint."""
-        every = [
-            (self._of_robot(one, joint), one, joint)
-            for joint, found in self.joints.items()
-            for one in found.effects
-        ]
+        every = []
+        for one, joint in ((one, joint) for joint, found in self.joints.items() for one in found.effects):
+            # its place, its share of the robot's gap, and its values in the robot's model
+            part, bounds, sizes = self.parts[joint], self.part_bounds[joint], one.parameters
+            if one.selected:
+                infos = brought_to(self.model, (one.name, one.where), self.joints[joint].model)
+                sizes = {
+                    s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()
+                }
+            of_robot = replace(
+                one,
+                where=self._placed(one.where, joint),
+                tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
+                share=None if one.share is None else one.share * part,
+                share_interval=one.share_interval
+                and (
+                    min(one.share_interval[0] * bound for bound in bounds),
+                    max(one.share_interval[1] * bound for bound in bounds),
+                ),
+                alone=None if one.alone is None else one.alone * part,
+                parameters=sizes,
+            )
+            every.append((of_robot, one, joint))
         return sorted(every, key=lambda of: of[0].rank)
-
-    def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
-        """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
-        part, bounds = self.parts[joint], self.part_bounds[joint]
-        where, sizes = self._placed(one.where, joint), one.parameters
-        if one.selected:
-            infos = brought_to(self.model, (one.name, one.where), self.joints[joint].model)
-            sizes = {s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()}
-        return replace(
-            one,
-            where=where,
-            tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
-            share=None if one.share is None else one.share * part,
-            share_interval=one.share_interval
-            and (
-                min(one.share_interval[0] * bound for bound in bounds),
-                max(one.share_interval[1] * bound for bound in bounds),
-            ),
-            alone=None if one.alone is None else one.alone * part,
-            parameters=sizes,
-        )
 
     def _placed(self, where: str, joint: str) -> str:
         """``joint3/motor``, as a joint by itself has it, with the joint's name."""
@@ -328,20 +325,50 @@ def diagnose_arm(
     if not names:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
         raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
-    searched = partial(
-        _searched, dataset, skipped=skipped, kept=kept, progress=progress, horizon=horizon, max_effects=max_effects,
-        jobs=jobs, seed=seed, signal_share=signal_share,
-    )  # fmt: skip
-    first, stopped = searched(system, names)
+
+    def searched(system: System, names: Sequence[str], skipped: dict[str, str]) -> tuple[Found, bool]:
+        # of joints, the others as measured, and whether the searches were stopped; failed ones are `skipped`
+        found, parts = Found(), joint_parts(system)
+        for name in names:
+
+            def say(stage: str, done: int, total: int, name: str = name) -> None:
+                if progress is not None:
+                    progress(f"{name}: {stage}", done, total)
+
+            try:
+                found[name] = answered(
+                    with_others_measured(moving_records(dataset, *parts[name]), system, *parts[name]),
+                    some(system, parts[name]), horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed,
+                    signal_share=signal_share, kept=kept, progress=say,
+                )  # fmt: skip
+            except InputError as error:  # one joint's records or values must not cost the others theirs
+                if len(names) == 1:
+                    raise
+                skipped[name] = str(error).removesuffix(".")
+                continue
+            except KeyboardInterrupt:
+                if not found:
+                    raise
+                return found, True
+            if found[name][1].found.interrupted:
+                return found, True
+        return found, False
+
+    first, stopped = searched(system, names, skipped)
     _raise_without_any(first, skipped)
     answers = {name: answer for name, (_, answer) in first.items()}
-    horizon = horizon or common_horizon(answers, signal_share)
-    robot = WholeRobot(dataset, system, answers, horizon, signal_share, seed, progress)
+    common = horizon or common_horizon(answers, signal_share)
+    robot = WholeRobot(dataset, system, answers, common, signal_share, seed, progress)
     found, gears = first, tuple[CoupledGear, ...]()
     if not stopped:  # who stops waits for no more fits
         try:
             robot, found, gears = _with_gears(robot, first, searched)
-            robot = replace(robot, answers=_checked(robot))
+            # as the whole robot leaves the answers: what acts on all, ties that it settles, claims that help
+            robot.say("the whole robot", 0, 1)
+            checked = robot
+            for stage in (judged_by_all, distinguished, borne_out):
+                checked = replace(checked, answers=stage(checked))
+            robot = checked
         except KeyboardInterrupt:
             stopped = True
     # the joints' diagnoses; those that fail are skipped. Stopped after one it has those that are there
@@ -377,43 +404,6 @@ Found = dict[str, tuple[Measured, Answer]]
 """What is known of each joint before its search, and what the search says."""
 
 
-def _searched(
-    dataset: Dataset,
-    system: System,
-    names: Sequence[str],
-    *,
-    skipped: dict[str, str],
-    kept: Kept | None,
-    progress: Progress | None,
-    **how: Any,
-) -> tuple[Found, bool]:
-    """The searches of joints, the others as measured, and whether they were stopped; failed ones are ``skipped``."""
-    found, parts = Found(), joint_parts(system)
-    for name in names:
-
-        def say(stage: str, done: int, total: int, name: str = name) -> None:
-            if progress is not None:
-                progress(f"{name}: {stage}", done, total)
-
-        try:
-            found[name] = answered(
-                with_others_measured(moving_records(dataset, *parts[name]), system, *parts[name]),
-                some(system, parts[name]), kept=kept, progress=say, **how,
-            )  # fmt: skip
-        except InputError as error:  # one joint's records or values must not cost the others theirs
-            if len(names) == 1:
-                raise
-            skipped[name] = str(error).removesuffix(".")
-            continue
-        except KeyboardInterrupt:
-            if not found:
-                raise
-            return found, True
-        if found[name][1].found.interrupted:
-            return found, True
-    return found, False
-
-
 def _with_gears(
     robot: WholeRobot, first: Found, searched: Callable[..., tuple[Found, bool]]
 ) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
@@ -424,7 +414,7 @@ def _with_gears(
     coupled = with_gears(robot.nominal, gears)
     asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
     try:
-        more, stopped = searched(coupled, list(asked), skipped={})
+        more, stopped = searched(coupled, list(asked), {})
     except InputError:
         return robot, first, ()
     if stopped:
@@ -450,14 +440,6 @@ def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew,
     with suppress(InputError):
         return dataset.without_skew({one.channel: one.late for one in skews}), skews
     return dataset, ()
-
-
-def _checked(robot: WholeRobot) -> Mapping[str, Answer]:
-    """The joints' answers as the whole robot leaves them: what acts on all, ties that it settles, claims that help."""
-    robot.say("the whole robot", 0, 1)
-    for stage in (judged_by_all, distinguished, borne_out):
-        robot = replace(robot, answers=stage(robot))
-    return robot.answers
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
@@ -520,7 +502,12 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=robot.seed)
         contradiction = unconfirmed(gap, "robot") if lacking else ""
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
-    (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
+    parts, bounds = parts_of_gap(each, horizon, signal_share)
+    # parameters of the fit with their autocorrelation-robust standard errors, by name; empty without one
+    known = dict[str, tuple[float, float]]()
+    if whole is not None:
+        std = robust_covariance(*whole.of_records(), prior_precision=whole.prior_precision).std_error
+        known = {n: (float(v), float(s)) for n, v, s in zip(whole.names, whole.values, std, strict=True)}
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews), gears,
@@ -560,14 +547,6 @@ def fitted_coupled(
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None
-
-
-def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:
-    """Parameters of a fit with their autocorrelation-robust standard errors, by name; empty without one."""
-    if whole is None:
-        return {}
-    std = robust_covariance(*whole.of_records(), prior_precision=whole.prior_precision).std_error
-    return {n: (float(v), float(s)) for n, v, s in zip(whole.names, whole.values, std, strict=True)}
 
 
 def common_sizes(

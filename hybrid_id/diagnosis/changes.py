@@ -132,15 +132,15 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     pull = fit.prior_precision * (fit.values - np.array(means))
     matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
     if matched:
-        spread = robust_covariance(*fit.of_records())
+        uncertainty = robust_covariance(*fit.of_records())
     else:
         even = [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
-        spread = covariance(fit.jacobian, even)
-    change = change + (spread.inverse_hessian @ pull)[kept] / expected
+        uncertainty = covariance(fit.jacobian, even)
+    change = change + (uncertainty.inverse_hessian @ pull)[kept] / expected
     root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
     root = root * expected
     information = root.T @ root
-    cov = spread.matrix[np.ix_(kept, kept)] / np.outer(expected, expected)
+    cov = uncertainty.matrix[np.ix_(kept, kept)] / np.outer(expected, expected)
     names = tuple(fit.names[k] for k in kept)
     if not names:
         return _nothing()
@@ -193,7 +193,18 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     else:
         # where no torque is known, changes that differ by the scale of all torques are indistinguishable
         parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
-        alone = _moved_alone(infos, axes, change, spread)
+        # which parameters have surely moved by themselves, and how far (logarithm)
+        powers = np.array([torque_power(info.spec.unit) for info in infos], float)
+        seen = axes @ axes.T
+        if _scale_unseen(infos, axes):
+            seen = seen + np.outer(powers, powers) / float(powers @ powers)
+            change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
+        error = np.sqrt(np.diag(axes @ spread @ axes.T))
+        alone = {
+            k: float(change[k])
+            for k in range(len(infos))
+            if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
+        }
         parts = _beside(parts, alone, whitened, moved)
         # changes that act at once, and the parameters that moved beside them
         within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
@@ -467,23 +478,3 @@ def _scale_unseen(infos: list[ParameterInfo], axes: np.ndarray) -> bool:
     powers = np.array([torque_power(info.spec.unit) for info in infos], float)
     size = float(np.linalg.norm(powers))
     return size > 0.0 and float(np.linalg.norm(axes.T @ powers)) < 0.01 * size
-
-
-def _moved_alone(
-    infos: list[ParameterInfo], axes: np.ndarray, change: np.ndarray, spread: np.ndarray
-) -> dict[int, float]:
-    """Which parameters have surely moved by themselves, and how far (logarithm).
-
-    Where the records do not identify the common scale of torques, the median of their changes is taken for it.
-    """
-    powers = np.array([torque_power(info.spec.unit) for info in infos], float)
-    seen = axes @ axes.T
-    if _scale_unseen(infos, axes):
-        seen = seen + np.outer(powers, powers) / float(powers @ powers)
-        change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
-    error = np.sqrt(np.diag(axes @ spread @ axes.T))
-    return {
-        k: float(change[k])
-        for k in range(len(infos))
-        if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
-    }

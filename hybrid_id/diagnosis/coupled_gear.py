@@ -162,7 +162,7 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
         if instead is not None and instead.error <= richer.error:
             return None
     rivals = [one for other in TURNS[1:-1] if other and (one := fitted(other)) is not None]
-    # a gear as records left out bear it out; None where they do not
+    # as records left out bear it out
     weights = plain.validation.even_weights()
 
     def weighted(one: FittedModel) -> FittedModel:
@@ -173,9 +173,8 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
     sure = chance_of_presence(richer, plain, p)
     if not passes(richer, plain, p) or sure < CRITERIA.least_probability:
         return None
-    return replace(
-        replace(gear, turns=turns, std=std), share=richer.validation.fall(plain.validation), probability=sure
-    )
+    share = richer.validation.fall(plain.validation)
+    return replace(gear, turns=turns, std=std, share=share, probability=sure)
 
 
 def _error(richer: FittedModel, below: FittedModel | None, above: FittedModel | None) -> float:

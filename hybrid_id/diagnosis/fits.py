@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.model import FittedModel, Name, Tally, Unfitted, kept_model
 from hybrid_id.diagnosis.plausibility import NUISANCE
-from hybrid_id.diagnosis.validation import Validation, autocorrelation, mean_square, validation
+from hybrid_id.diagnosis.validation import autocorrelation, mean_square, validation
 from hybrid_id.errors import InputError, MachineError, shortened
 from hybrid_id.identification.finite_differences import (
     STEPS,
@@ -263,7 +262,10 @@ class Fits:
                 # another process need not know the catalogue, to which the user may have added
                 calls = (delayed(_kept)(self, t, iterations, over_angle(t.effects)) for t in some)
                 for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
-                    found.append(self._counted(outcome))
+                    self.tally.tried += 1
+                    if isinstance(outcome, Unfitted):
+                        self.tally.failed[outcome] += 1
+                    found.append(None if isinstance(outcome, Unfitted) else outcome)
                     if done is not None:
                         done()
             except (BrokenProcessPool, OSError):  # for want of memory, say: the rest in turn
@@ -272,13 +274,6 @@ class Fits:
                 self.jobs = 1
             self.fitted += sum(len(task.system.state_names) for task in some) * samples
         return found
-
-    def _counted(self, outcome: Any) -> FittedModel | None:
-        self.tally.tried += 1
-        if isinstance(outcome, Unfitted):
-            self.tally.failed[outcome] += 1
-            return None
-        return outcome
 
 
 def with_priors(system: System, nominal: System, fitted: FittedModel, share: float) -> System:
@@ -382,9 +377,10 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
         # what is taken as it stands has seen no validation record either
         judge = full or (iterations == 0 and bool(fits.dataset.validation))
         judge = judge and mean_square(result.residual) < task.judged_below
-        found = (
-            _judged(fits, result) if judge else validation(result.residual, batch.sample_time, batch.names)
-        )
+        errors = _unseen(fits, result) if judge else (result.residual, batch.sample_time, batch.names)
+        found = validation(*errors)
+        if judge and fits.weights is not None:  # each record as it counts
+            found = found.weighted(fits.weights)
     except FAILURES as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
@@ -393,12 +389,6 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
     if not sound:
         return Unfitted(task.effects, "its errors or their slopes are not finite")
     return FittedModel(task.effects, result.condensed(), found, judge)  # a search keeps hundreds
-
-
-def _judged(fits: Fits, result: FitResult) -> Validation:
-    """Errors of a fit on records that it has not seen, each record as it counts."""
-    found = validation(*_unseen(fits, result))
-    return found if fits.weights is None else found.weighted(fits.weights)
 
 
 def _unseen(fits: Fits, result: FitResult) -> tuple[list[np.ndarray], float, Sequence[str]]:

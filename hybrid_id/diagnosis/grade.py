@@ -173,8 +173,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     generator = np.random.default_rng(seed)
 
     def drawn(*, records: bool) -> np.ndarray:
-        # draws of the shares (draws, n + 1), the remainder last: shares choose among rivals, too; it does
-        # not
+        # draws of the shares (draws, n + 1), the remainder last: shares choose among rivals, too; it does not
         weights = first.drawn(generator, records=records)
         ends = [one.validation for one in models]
         rivals = []

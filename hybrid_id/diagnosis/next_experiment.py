@@ -161,7 +161,11 @@ def next_experiment(
         return []
     names = [name for group in tied for name in _names(group)]
     # the records in the order in which they add most, each with what it and those before it distinguish
-    found = {p: _joined([one[p] for one in every]) for p in every[0]}
+    columns = [field.name for field in fields(_Differences)]
+    found = {
+        p: _Differences(*(np.concatenate([getattr(one[p], name) for one in every]) for name in columns))
+        for p in every[0]
+    }
     leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
     known = [thinned * _information(one) for one in models]
 
@@ -368,11 +372,6 @@ class _Differences:
         )
 
 
-def _joined(parts: Sequence[_Differences]) -> _Differences:
-    """Those of several joints' records, one after the other."""
-    return _Differences(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Differences)))
-
-
 def _differences(
     models: Sequence[FittedModel],
     pairs: Sequence[Pair],
@@ -389,7 +388,22 @@ def _differences(
         for b, other in enumerate(models):
             if (a, b) in pairs or (b, a) in pairs:
                 batch = replace(_pieces(other, records, noise, horizon, signal_share), y=truth)
-                found[a, b] = _left_by(other, batch, [one.name for one in records])
+                # what the other leaves of these outputs, its start states moved within their uncertainty
+                system, free, titles = other.system, other.system.estimated, [one.name for one in records]
+                engine = with_substeps(system, other.result.engine, batch)
+                theta = system.theta().detach()[:, None].expand(-1, batch.rows)
+                at = evaluate(
+                    system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1]
+                )
+                record = torch.tensor([titles.index(name) for name in batch.names])
+                free_starts = torch.zeros(batch.rows, dtype=theta.dtype)
+                held = torch.zeros_like(batch.x0_std)
+                hessian, gradient, gain, _ = reduced(at, record, len(titles), free_starts, held)
+                cost, count = gain.new_zeros(2, len(titles))
+                cost.index_add_(0, record, at.cost)
+                count.index_add_(0, record, (batch.weight > 0).sum((1, 2)).to(count.dtype))
+                parts = 2.0 * (cost - gain), gradient, hessian, count
+                found[a, b] = _Differences(*(part.numpy() for part in parts))
     return found
 
 
@@ -403,23 +417,6 @@ def _pieces(
     outputs = list(noise)
     batch = make_batch(model.system, records, outputs=outputs, noise_std=noise, signal_share=signal_share)
     return horizon.cut(model.system, model.result.engine, batch)
-
-
-def _left_by(model: FittedModel, batch: Batch, records: Sequence[str]) -> _Differences:
-    """What a model leaves of a batch's outputs, its start states moved within their uncertainty."""
-    system, free = model.system, model.system.estimated
-    engine = with_substeps(system, model.result.engine, batch)
-    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
-    at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
-    record = torch.tensor([records.index(name) for name in batch.names])
-    free_starts = torch.zeros(batch.rows, dtype=theta.dtype)
-    hessian, gradient, gain, _ = reduced(
-        at, record, len(records), free_starts, torch.zeros_like(batch.x0_std)
-    )
-    cost, count = gain.new_zeros(2, len(records))
-    cost.index_add_(0, record, at.cost)
-    count.index_add_(0, record, (batch.weight > 0).sum((1, 2)).to(count.dtype))
-    return _Differences(*(part.numpy() for part in (2.0 * (cost - gain), gradient, hessian, count)))
 
 
 # ---- which of them together ----
