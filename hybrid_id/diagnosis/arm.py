@@ -311,7 +311,17 @@ def diagnose_arm(
         KeyboardInterrupt: stopped before the first joint's search has found anything, or before its report.
     """
     system = within_reach(system)
-    dataset, skews = _at_one_time(dataset, system)
+    # late channels are shifted, so that there is one time for every stage; but not those of coupled gears, whose
+    # encoders tell of several motors
+    single = {str(j.number) for j, ratio in zip(system.joints, system.own_ratios, strict=True) if ratio}
+    skews = tuple(one for one in find_skews(dataset) if number_of(one.channel) in single)
+    if skews:
+        try:
+            dataset = dataset.without_skew({one.channel: one.late for one in skews})
+        except (
+            InputError
+        ):  # longer than a record: each joint is asked by itself, with the records that it has
+            skews = ()
     # the joints to diagnose, those of a coupled gear as one, and those that are left out, each with why
     able, skipped = joints_to_diagnose(dataset, system)
     asked = able if joints is None else asked_parts(system, joints)
@@ -425,21 +435,6 @@ def _with_gears(
     found = {name: one for name, one in first.items() if name not in apart} | more
     answers = {name: answer for name, (_, answer) in found.items()}
     return replace(robot, nominal=coupled, answers=answers), found, gears
-
-
-def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew, ...]]:
-    """The records with late channels shifted, and these: one time for every stage.
-
-    Not those of coupled gears, whose encoders tell of several motors.
-    """
-    single = {str(j.number) for j, ratio in zip(system.joints, system.own_ratios, strict=True) if ratio}
-    skews = tuple(one for one in find_skews(dataset) if number_of(one.channel) in single)
-    if not skews:
-        return dataset, ()
-    # where one is longer than a record, each joint is asked by itself, with the records that it has
-    with suppress(InputError):
-        return dataset.without_skew({one.channel: one.late for one in skews}), skews
-    return dataset, ()
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:

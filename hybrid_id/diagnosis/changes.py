@@ -338,30 +338,23 @@ def _hypotheses(system: System, infos: list[ParameterInfo]) -> Iterator[_Hypothe
     for joint in [*joints, *([0] if len(joints) > 1 else [])]:
         mine = [joint in (0, joint_of(info)) for info in infos]
         loads = [m or coupled for m in mine] if joint == max(joints) else [m and not coupled for m in mine]
-        yield from _load(system, infos, 0 if coupled else joint, loads)
-        for name, part in (
-            ("friction", _friction),
-            ("supply", _supply),
-            ("torque_gain", _torque_gain),
-            ("motor_constant", _motor_constant),
-            ("sensor_scale", _sensor_scale),
-        ):
-            powers = np.array([part(system, info) if m else 0.0 for info, m in zip(infos, mine, strict=True)])
+        # a heavier or lighter link: inertias and weights, each by its own share, for the rotor is part of an inertia
+        weighs = np.array([m and _is_weight(system, info) for info, m in zip(infos, loads, strict=True)])
+        inert = np.array([m and _is_inertia(system, info) for info, m in zip(infos, loads, strict=True)])
+        load = weighs | inert
+        if load.any():
+            order = np.flatnonzero(load)
+            lead = next((k for k, index in enumerate(order) if weighs[index]), 0)
+            columns = np.eye(len(infos))[:, order]
+            yield _Hypothesis("load", 0 if coupled else joint, columns, together=True, lead=lead)
+        for name in ("friction", "supply", "torque_gain", "motor_constant", "sensor_scale"):
+            powers = np.array(
+                [_power(name, system, info) if m else 0.0 for info, m in zip(infos, mine, strict=True)]
+            )
             if np.any(powers):
                 yield _Hypothesis(name, joint, powers[:, None])
             if name == "friction" and np.count_nonzero(powers) > 1:
                 yield _Hypothesis(name, joint, np.eye(len(infos))[:, powers != 0])
-
-
-def _load(system: System, infos: list[ParameterInfo], joint: int, mine: list[bool]) -> Iterator[_Hypothesis]:
-    """A heavier or lighter link: inertias and weights, each by its own share, since the rotor is part of an inertia."""
-    weighs = np.array([m and _is_weight(system, info) for info, m in zip(infos, mine, strict=True)])
-    load = weighs | np.array([m and _is_inertia(system, info) for info, m in zip(infos, mine, strict=True)])
-    if not load.any():
-        return
-    order = np.flatnonzero(load)
-    lead = next((k for k, index in enumerate(order) if weighs[index]), 0)
-    yield _Hypothesis("load", joint, np.eye(len(infos))[:, order], together=True, lead=lead)
 
 
 def _part(system: System, info: ParameterInfo) -> Component:
@@ -379,30 +372,20 @@ def _is_inertia(system: System, info: ParameterInfo) -> bool:
     return link and "kg" in info.spec.unit and info.symbol != "J_m"
 
 
-def _friction(system: System, info: ParameterInfo) -> float:
-    """Dry levels and viscous coefficients, one factor."""
-    return float(isinstance(_part(system, info), Friction) and torque_power(info.spec.unit) == 1)
-
-
-def _supply(system: System, info: ParameterInfo) -> float:
-    """A gain c on the voltage: ``P_m1 (c U - P_m2 v) = c P_m1 (U - P_m2 / c v)``."""
-    return {"P_m1": 1.0, "P_m2": -1.0}.get(info.symbol, 0.0) * isinstance(_part(system, info), DCMotor)
-
-
-def _torque_gain(system: System, info: ParameterInfo) -> float:
-    """More torque per command at the same back-EMF: winding resistance, current gain."""
+def _power(change: str, system: System, info: ParameterInfo) -> float:
+    """With which power of the size of a change a parameter moves; 0 where it does not."""
     part = _part(system, info)
-    motor = isinstance(part, DCMotor | CurrentMotor | TorqueMotor)
-    return float(motor and info.symbol in ("P_m1", "k_t", "gain"))
-
-
-def _motor_constant(system: System, info: ParameterInfo) -> float:
-    """Torque constant and back-EMF together: magnets."""
-    return float(isinstance(_part(system, info), DCMotor))
-
-
-def _sensor_scale(system: System, info: ParameterInfo) -> float:
-    """An angle read c times too large: each power of rad in a unit takes one of c; weight turns with the true angle."""
+    match change:
+        case "friction":  # dry levels and viscous coefficients, one factor
+            return float(isinstance(part, Friction) and torque_power(info.spec.unit) == 1)
+        case "supply":  # a gain c on the voltage: ``P_m1 (c U - P_m2 v) = c P_m1 (U - P_m2 / c v)``
+            return {"P_m1": 1.0, "P_m2": -1.0}.get(info.symbol, 0.0) * isinstance(part, DCMotor)
+        case "torque_gain":  # more torque per command at the same back-EMF: winding resistance, current gain
+            motor = isinstance(part, DCMotor | CurrentMotor | TorqueMotor)
+            return float(motor and info.symbol in ("P_m1", "k_t", "gain"))
+        case "motor_constant":  # torque constant and back-EMF together: magnets
+            return float(isinstance(part, DCMotor))
+    # an angle read c times too large: each power of rad in a unit takes one of c; weight turns with the true angle
     if any(isinstance(part, Gravity | ArmGravity) for part in system.components.values()):
         return 0.0
     if _is_inertia(system, info) or info.symbol == "J_m":

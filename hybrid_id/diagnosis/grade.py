@@ -206,7 +206,17 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         for k, (a, b) in enumerate(pairwise(models))
     }
     shares |= {name: (*shares[name][:2], True) for name in found.shown if name in shares}
-    rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
+    measurable = gap > CRITERIA.least_fall * first.error  # shares of next to nothing say nothing
+    alone: dict[Name, float] = {}
+    for step in found.steps:
+        if measurable and not step.before.effects:
+            for e in step.candidates:
+                alone.setdefault(added_effect(e, step.before), first.error * e.fall(step.before) / gap)
+    rated = []
+    for c in _rated_effects(found, structural):
+        name = c.name, c.where
+        share, interval, sure = shares.get(name, (None, None, True))
+        rated.append(replace(c, share=share, share_interval=interval, alone=alone.get(name), sure=sure))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
     interval = _interval(draws[:, -1])
@@ -214,25 +224,6 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     surely = remainder >= CRITERIA.substantial and interval[0] >= explained
     beyond_floor = min(max(1.0 - floor / max(first.error, 1e-300), 0.0), 1.0)
     return Grade(_in_order(rated), remainder, interval, surely and coloured, gap, beyond_floor, coloured)
-
-
-def _with_share(
-    one: RatedEffect, shares: dict[Name, tuple[float, Interval, bool]], found: Selection, gap: float
-) -> RatedEffect:
-    base = found.base.validation.error
-    measurable = gap > CRITERIA.least_fall * base  # shares of next to nothing say nothing
-    alone = next(
-        (
-            base * e.fall(step.before) / gap
-            for step in found.steps
-            if measurable and not step.before.effects
-            for e in step.candidates
-            if added_effect(e, step.before) == (one.name, one.where)
-        ),
-        None,
-    )
-    share, interval, sure = shares.get((one.name, one.where), (None, None, True))
-    return replace(one, share=share, share_interval=interval, alone=alone, sure=sure)
 
 
 def doubtful(found: Grade) -> list[Name]:
@@ -326,7 +317,25 @@ def last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel,
         if step.leader is None:
             continue
         names = [added_effect(model, step.before) for model in step.candidates]
-        odds = dict(zip(names, _probabilities(step).tolist(), strict=True))
+        # probability of each candidate: how surely the best predicts better, and how surely each explains anything
+        best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
+        known = chances(step)
+        present = {one: chance_of_presence(one, step.before, p) for one, p in known.items()}
+        passing = [one for one, p in known.items() if passes(one, step.before, p)]
+        sure = present.get(best, 0.0) if step.shown is None else step.shown.probability
+        for k, one in enumerate(step.candidates):
+            if step.odds:
+                logs[k] = step.odds[k]
+            elif one is best:
+                logs[k] = 0.0
+            elif one.judged and one.error < step.before.error and not _contains(one, step):
+                explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
+                logs[k] = log_odds(best, one, step.before) + math.log(explains)
+                # what is not accepted, as one record alone gains by it, say, is no more probable than a best that is
+                if best in passing and one not in passing:
+                    logs[k] = min(logs[k], 0.0)
+        sizes = np.exp(logs - logs.max())
+        odds = dict(zip(names, (sure * sizes / sizes.sum()).tolist(), strict=True))
         for name, model in zip(names, step.candidates, strict=True):
             if name not in said or step.swap or odds[name] > said[name][2][name]:
                 said[name] = step, model, odds
@@ -375,18 +384,13 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
         for c in rated
     ]
     unsure = {"@".join(name) for name in found.unsure}
-    return [
-        _no_surer(c) if not c.selected and unsure & {f"{c.name}@{c.where}", *c.tied_with} else c
-        for c in rated
-    ]
-
-
-def _no_surer(one: RatedEffect) -> RatedEffect:
-    """The same with all that it is tied with no more probable together than what is asserted has to be."""
-    probability = min(one.probability, CRITERIA.least_probability)
-    return replace(
-        one, probability=probability, others=min(one.others, CRITERIA.least_probability - probability)
-    )
+    for k, c in enumerate(rated):
+        if not c.selected and unsure & {f"{c.name}@{c.where}", *c.tied_with}:
+            # with all that it is tied with no more probable together than what is asserted has to be
+            most = CRITERIA.least_probability
+            probability = min(c.probability, most)
+            rated[k] = replace(c, probability=probability, others=min(c.others, most - probability))
+    return rated
 
 
 def _beside(found: Selection) -> dict[Name, float]:
@@ -405,30 +409,6 @@ def _beside(found: Selection) -> dict[Name, float]:
     rate, power = CRITERIA.base_rate, -0.5 * CRITERIA.left_worth
     odds = {name: rate / (1.0 - rate) * max(left, 1e-6) ** power for name, left in falls.items()}
     return {name: min(o / (1.0 + o), CRITERIA.least_probability) for name, o in odds.items()}
-
-
-def _probabilities(step: SelectionStep) -> np.ndarray:
-    """Probability of each candidate: how surely the best predicts better, and how surely each explains anything.
-
-    What is not accepted, as one record alone gains by it, say, is no more probable than a best that is.
-    """
-    best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
-    known = chances(step)
-    present = {one: chance_of_presence(one, step.before, p) for one, p in known.items()}
-    passing = [one for one, p in known.items() if passes(one, step.before, p)]
-    sure = present.get(best, 0.0) if step.shown is None else step.shown.probability
-    for k, one in enumerate(step.candidates):
-        if step.odds:
-            logs[k] = step.odds[k]
-        elif one is best:
-            logs[k] = 0.0
-        elif one.judged and one.error < step.before.error and not _contains(one, step):
-            explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
-            logs[k] = log_odds(best, one, step.before) + math.log(explains)
-            if best in passing and one not in passing:
-                logs[k] = min(logs[k], 0.0)
-    odds = np.exp(logs - logs.max())
-    return sure * odds / odds.sum()
 
 
 def chance_of_presence(one: FittedModel, before: FittedModel, p: float) -> float:
