@@ -113,7 +113,8 @@ def diagnose(
         from hybrid_id.reporting.arm_diagnosis import arm_table
         from hybrid_id.reporting.diagnosis import diagnosis_table
 
-        found = run(dataset, system, config, kept, by_joint, joint)
+        asked = {"by_joint": True, "joints": joint} if by_joint else {}
+        found = run(dataset, system, config, kept, **asked)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             if isinstance(found, ArmDiagnosis):
                 (text, drawn), shown = write_arm(folder, home, config, found), arm_table(found)
@@ -146,6 +147,7 @@ def run(
     system: "System",
     config: StudyConfig,
     kept: "Kept",
+    *,
     by_joint: bool = False,
     joints: list[str] | None = None,
 ) -> "Diagnosis | ArmDiagnosis":
