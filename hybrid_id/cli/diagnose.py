@@ -113,9 +113,8 @@ def diagnose(
         from hybrid_id.reporting.arm_diagnosis import arm_table
         from hybrid_id.reporting.diagnosis import diagnosis_table
 
-        found = (
-            run_arm(dataset, system, config, kept, joint) if by_joint else run(dataset, system, config, kept)
-        )
+        asked = {"by_joint": True, "joints": joint} if by_joint else {}
+        found = run(dataset, system, config, kept, **asked)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             if isinstance(found, ArmDiagnosis):
                 (text, drawn), shown = write_arm(folder, home, config, found), arm_table(found)
@@ -143,48 +142,40 @@ def diagnose(
         raise typer.Exit(130)
 
 
-def fitting_jobs(dataset: "Dataset") -> int:
-    """Processes that this machine bears: each holds the records, and what its fit makes of them."""
+def run(
+    dataset: "Dataset",
+    system: "System",
+    config: StudyConfig,
+    kept: "Kept",
+    *,
+    by_joint: bool = False,
+    joints: list[str] | None = None,
+) -> "Diagnosis | ArmDiagnosis":
+    """Diagnose as the config says, a robot joint by joint, with a bar on stderr."""
     from joblib import cpu_count
 
-    samples = sum(record.n_samples for record in dataset.records)
-    return 1 if samples > LONG else min(cpu_count(), MOST_JOBS)
-
-
-def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept") -> "Diagnosis":
-    """Diagnose as the config says, with a bar on stderr."""
-    from hybrid_id.diagnosis.diagnose import diagnose as find
-
-    with SearchProgress(config.gap.max_effects) as progress:
-        return find(dataset, system, kept=kept, progress=progress, **_settings(dataset, config))
-
-
-def run_arm(
-    dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept", joints: list[str] | None
-) -> "ArmDiagnosis":
-    """Diagnose a robot joint by joint as the config says, with a bar on stderr."""
     from hybrid_id.diagnosis.arm import diagnose_arm
+    from hybrid_id.diagnosis.diagnose import diagnose as diagnose_whole
+    from hybrid_id.study import Horizon
     from hybrid_id.systems.by_joint import asked_parts, joints_to_diagnose
 
-    searches = len(set(asked_parts(system, joints)) if joints else joints_to_diagnose(dataset, system)[0])
-    with SearchProgress(config.gap.max_effects, searches) as progress:
-        return diagnose_arm(
-            dataset, system, joints=joints, kept=kept, progress=progress, **_settings(dataset, config)
-        )
-
-
-def _settings(dataset: "Dataset", config: StudyConfig) -> dict[str, Any]:
-    """What the config says of a search."""
-    from hybrid_id.study import Horizon
-
-    return {
+    # processes that this machine bears: each holds the records, and what its fit makes of them
+    long = sum(record.n_samples for record in dataset.records) > LONG
+    settings: dict[str, Any] = {
         "max_effects": config.gap.max_effects,
         "horizon": Horizon.of(config.identification.window),
-        "jobs": config.gap.jobs or fitting_jobs(dataset),
+        "jobs": config.gap.jobs or (1 if long else min(cpu_count(), MOST_JOBS)),
         "seed": config.identification.seed,
         "level": config.statistics.level,
         "signal_share": config.preprocessing.signal_share,
+        "kept": kept,
     }
+    if not by_joint:
+        with SearchProgress(config.gap.max_effects) as progress:
+            return diagnose_whole(dataset, system, progress=progress, **settings)
+    searches = len(set(asked_parts(system, joints)) if joints else joints_to_diagnose(dataset, system)[0])
+    with SearchProgress(config.gap.max_effects, searches) as progress:
+        return diagnose_arm(dataset, system, joints=joints, progress=progress, **settings)
 
 
 def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> bool:

@@ -151,33 +151,30 @@ class ArmDiagnosis:
 
     def rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
         """Effects of the robot in their order, each as the robot and as its joint by itself has it, and that joint."""
-        every = [
-            (self._of_robot(one, joint), one, joint)
-            for joint, found in self.joints.items()
-            for one in found.effects
-        ]
+        every = []
+        for one, joint in ((one, joint) for joint, found in self.joints.items() for one in found.effects):
+            # its place, its share of the robot's gap, and its values in the robot's model
+            part, bounds, sizes = self.parts[joint], self.part_bounds[joint], one.parameters
+            if one.selected:
+                infos = brought_to(self.model, (one.name, one.where), self.joints[joint].model)
+                sizes = {
+                    s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()
+                }
+            of_robot = replace(
+                one,
+                where=self._placed(one.where, joint),
+                tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
+                share=None if one.share is None else one.share * part,
+                share_interval=one.share_interval
+                and (
+                    min(one.share_interval[0] * bound for bound in bounds),
+                    max(one.share_interval[1] * bound for bound in bounds),
+                ),
+                alone=None if one.alone is None else one.alone * part,
+                parameters=sizes,
+            )
+            every.append((of_robot, one, joint))
         return sorted(every, key=lambda of: of[0].rank)
-
-    def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
-        """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
-        part, bounds = self.parts[joint], self.part_bounds[joint]
-        where, sizes = self._placed(one.where, joint), one.parameters
-        if one.selected:
-            infos = brought_to(self.model, (one.name, one.where), self.joints[joint].model)
-            sizes = {s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()}
-        return replace(
-            one,
-            where=where,
-            tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
-            share=None if one.share is None else one.share * part,
-            share_interval=one.share_interval
-            and (
-                min(one.share_interval[0] * bound for bound in bounds),
-                max(one.share_interval[1] * bound for bound in bounds),
-            ),
-            alone=None if one.alone is None else one.alone * part,
-            parameters=sizes,
-        )
 
     def _placed(self, where: str, joint: str) -> str:
         """``joint3/motor``, as a joint by itself has it, with the joint's name."""
@@ -267,7 +264,8 @@ class ArmDiagnosis:
                 self.nominal_errors, self.refit_errors, self.model_errors, self.shrink, self.contradiction
             ),
             "location": [
-                {"joint": joint, "side": None, "share_of_gap": part} for joint, part in self._by_part()
+                {"joint": joint, "side": None, "share_of_gap": part}
+                for joint, part in sorted(self.parts.items(), key=lambda one: -one[1])
             ],
             "common_sizes": [
                 vars(one) | {"joints": list(one.joints), "common": one.common} for one in self.common
@@ -275,9 +273,6 @@ class ArmDiagnosis:
             "skipped": dict(self.skipped),
             "joints": {joint: found.as_dict() for joint, found in self.joints.items()},
         }
-
-    def _by_part(self) -> list[tuple[str, float]]:
-        return sorted(self.parts.items(), key=lambda one: -one[1])
 
 
 def diagnose_arm(
@@ -316,119 +311,18 @@ def diagnose_arm(
         KeyboardInterrupt: stopped before the first joint's search has found anything, or before its report.
     """
     system = within_reach(system)
-    dataset, skews = _at_one_time(dataset, system)
-    names, skipped = _to_diagnose(dataset, system, joints)
-    searched = partial(
-        _searched, dataset, skipped=skipped, kept=kept, progress=progress, horizon=horizon, max_effects=max_effects,
-        jobs=jobs, seed=seed, signal_share=signal_share,
-    )  # fmt: skip
-    first, stopped = searched(system, names)
-    _raise_without_any(first, skipped)
-    answers = {name: answer for name, (_, answer) in first.items()}
-    horizon = horizon or common_horizon(answers, signal_share)
-    robot = WholeRobot(dataset, system, answers, horizon, signal_share, seed, progress)
-    found, gears = first, tuple[CoupledGear, ...]()
-    if not stopped:  # who stops waits for no more fits
-        try:
-            robot, found, gears = _with_gears(robot, first, searched)
-            robot = replace(robot, answers=_checked(robot))
-        except KeyboardInterrupt:
-            stopped = True
-    done = _reported(robot, found, skews, skipped, level)
-    lacking = [name for name in found if name not in done and name not in skipped]
-    lacking += [name for name in names if name not in first and name not in skipped]
-    skipped |= dict.fromkeys(lacking, STOPPED)
-    without = {name: one.found.base.system for name, (_, one) in first.items() if name not in found}
-    whole = partial(_of_whole_robot, robot, system, done, without, gears, skipped, skews)
-    try:
-        return whole(stopped=stopped or bool(lacking))
-    except KeyboardInterrupt:
-        return whole(stopped=True)
-
-
-Found = dict[str, tuple[Measured, Answer]]
-"""What is known of each joint before its search, and what the search says."""
-
-
-def _searched(
-    dataset: Dataset,
-    system: System,
-    names: Sequence[str],
-    *,
-    skipped: dict[str, str],
-    kept: Kept | None,
-    progress: Progress | None,
-    **how: Any,
-) -> tuple[Found, bool]:
-    """The searches of joints, the others as measured, and whether they were stopped; failed ones are ``skipped``."""
-    found, parts = Found(), joint_parts(system)
-    for name in names:
-
-        def say(stage: str, done: int, total: int, name: str = name) -> None:
-            if progress is not None:
-                progress(f"{name}: {stage}", done, total)
-
-        try:
-            found[name] = answered(
-                with_others_measured(moving_records(dataset, *parts[name]), system, *parts[name]),
-                some(system, parts[name]), kept=kept, progress=say, **how,
-            )  # fmt: skip
-        except InputError as error:  # one joint's records or values must not cost the others theirs
-            if len(names) == 1:
-                raise
-            skipped[name] = str(error).removesuffix(".")
-            continue
-        except KeyboardInterrupt:
-            if not found:
-                raise
-            return found, True
-        if found[name][1].found.interrupted:
-            return found, True
-    return found, False
-
-
-def _with_gears(
-    robot: WholeRobot, first: Found, searched: Callable[..., tuple[Found, bool]]
-) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
-    """The robot with gears that its model lacks, the searches with the joints of each as one, and these gears."""
-    gears = coupled_gears(robot)
-    if not gears:
-        return robot, first, ()
-    coupled = with_gears(robot.nominal, gears)
-    asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
-    try:
-        more, stopped = searched(coupled, list(asked), skipped={})
-    except InputError:
-        return robot, first, ()
-    if stopped:
-        raise KeyboardInterrupt
-    if len(more) < len(asked):
-        return robot, first, ()
-    apart = {name for pair in asked.values() for name in pair}
-    found = {name: one for name, one in first.items() if name not in apart} | more
-    answers = {name: answer for name, (_, answer) in found.items()}
-    return replace(robot, nominal=coupled, answers=answers), found, gears
-
-
-def _at_one_time(dataset: Dataset, system: System) -> tuple[Dataset, tuple[Skew, ...]]:
-    """The records with late channels shifted, and these: one time for every stage.
-
-    Not those of coupled gears, whose encoders tell of several motors.
-    """
+    # late channels are shifted, so that there is one time for every stage; but not those of coupled gears, whose
+    # encoders tell of several motors
     single = {str(j.number) for j, ratio in zip(system.joints, system.own_ratios, strict=True) if ratio}
     skews = tuple(one for one in find_skews(dataset) if number_of(one.channel) in single)
-    if not skews:
-        return dataset, ()
-    # where one is longer than a record, each joint is asked by itself, with the records that it has
-    with suppress(InputError):
-        return dataset.without_skew({one.channel: one.late for one in skews}), skews
-    return dataset, ()
-
-
-def _to_diagnose(
-    dataset: Dataset, system: System, joints: Sequence[str] | None
-) -> tuple[list[str], dict[str, str]]:
-    """The joints to diagnose, those of a coupled gear as one, and those that are left out, each with why."""
+    if skews:
+        try:
+            dataset = dataset.without_skew({one.channel: one.late for one in skews})
+        except (
+            InputError
+        ):  # longer than a record: each joint is asked by itself, with the records that it has
+            skews = ()
+    # the joints to diagnose, those of a coupled gear as one, and those that are left out, each with why
     able, skipped = joints_to_diagnose(dataset, system)
     asked = able if joints is None else asked_parts(system, joints)
     for name, part in zip(joints or (), asked, strict=False):
@@ -441,13 +335,53 @@ def _to_diagnose(
     if not names:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
         raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
-    return names, skipped
 
+    def searched(system: System, names: Sequence[str], skipped: dict[str, str]) -> tuple[Found, bool]:
+        # of joints, the others as measured, and whether the searches were stopped; failed ones are `skipped`
+        found, parts = Found(), joint_parts(system)
+        for name in names:
 
-def _reported(
-    robot: WholeRobot, found: Found, skews: Sequence[Skew], skipped: dict[str, str], level: float
-) -> dict[str, Diagnosis]:
-    """The joints' diagnoses; those that fail are ``skipped``. Stopped after one it has those that are there."""
+            def say(stage: str, done: int, total: int, name: str = name) -> None:
+                if progress is not None:
+                    progress(f"{name}: {stage}", done, total)
+
+            try:
+                found[name] = answered(
+                    with_others_measured(moving_records(dataset, *parts[name]), system, *parts[name]),
+                    some(system, parts[name]), horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed,
+                    signal_share=signal_share, kept=kept, progress=say,
+                )  # fmt: skip
+            except InputError as error:  # one joint's records or values must not cost the others theirs
+                if len(names) == 1:
+                    raise
+                skipped[name] = str(error).removesuffix(".")
+                continue
+            except KeyboardInterrupt:
+                if not found:
+                    raise
+                return found, True
+            if found[name][1].found.interrupted:
+                return found, True
+        return found, False
+
+    first, stopped = searched(system, names, skipped)
+    _raise_without_any(first, skipped)
+    answers = {name: answer for name, (_, answer) in first.items()}
+    common = horizon or common_horizon(answers, signal_share)
+    robot = WholeRobot(dataset, system, answers, common, signal_share, seed, progress)
+    found, gears = first, tuple[CoupledGear, ...]()
+    if not stopped:  # who stops waits for no more fits
+        try:
+            robot, found, gears = _with_gears(robot, first, searched)
+            # as the whole robot leaves the answers: what acts on all, ties that it settles, claims that help
+            robot.say("the whole robot", 0, 1)
+            checked = robot
+            for stage in (judged_by_all, distinguished, borne_out):
+                checked = replace(checked, answers=stage(checked))
+            robot = checked
+        except KeyboardInterrupt:
+            stopped = True
+    # the joints' diagnoses; those that fail are skipped. Stopped after one it has those that are there
     done = dict[str, Diagnosis]()
     for name, (measured, _) in found.items():
         own = (one for one in skews if f"joint{number_of(one.channel)}" in robot.keys(name))
@@ -465,15 +399,42 @@ def _reported(
                 raise
             break
     _raise_without_any(done, skipped)
-    return done
+    lacking = [name for name in found if name not in done and name not in skipped]
+    lacking += [name for name in names if name not in first and name not in skipped]
+    skipped |= dict.fromkeys(lacking, STOPPED)
+    without = {name: one.found.base.system for name, (_, one) in first.items() if name not in found}
+    whole = partial(_of_whole_robot, robot, system, done, without, gears, skipped, skews)
+    try:
+        return whole(stopped=stopped or bool(lacking))
+    except KeyboardInterrupt:
+        return whole(stopped=True)
 
 
-def _checked(robot: WholeRobot) -> Mapping[str, Answer]:
-    """The joints' answers as the whole robot leaves them: what acts on all, ties that it settles, claims that help."""
-    robot.say("the whole robot", 0, 1)
-    for stage in (judged_by_all, distinguished, borne_out):
-        robot = replace(robot, answers=stage(robot))
-    return robot.answers
+Found = dict[str, tuple[Measured, Answer]]
+"""What is known of each joint before its search, and what the search says."""
+
+
+def _with_gears(
+    robot: WholeRobot, first: Found, searched: Callable[..., tuple[Found, bool]]
+) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
+    """The robot with gears that its model lacks, the searches with the joints of each as one, and these gears."""
+    gears = coupled_gears(robot)
+    if not gears:
+        return robot, first, ()
+    coupled = with_gears(robot.nominal, gears)
+    asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
+    try:
+        more, stopped = searched(coupled, list(asked), {})
+    except InputError:
+        return robot, first, ()
+    if stopped:
+        raise KeyboardInterrupt
+    if len(more) < len(asked):
+        return robot, first, ()
+    apart = {name for pair in asked.values() for name in pair}
+    found = {name: one for name, one in first.items() if name not in apart} | more
+    answers = {name: answer for name, (_, answer) in found.items()}
+    return replace(robot, nominal=coupled, answers=answers), found, gears
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
@@ -536,7 +497,12 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=robot.seed)
         contradiction = unconfirmed(gap, "robot") if lacking else ""
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
-    (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
+    parts, bounds = parts_of_gap(each, horizon, signal_share)
+    # parameters of the fit with their autocorrelation-robust standard errors, by name; empty without one
+    known = dict[str, tuple[float, float]]()
+    if whole is not None:
+        std = robust_covariance(*whole.of_records(), prior_precision=whole.prior_precision).std_error
+        known = {n: (float(v), float(s)) for n, v, s in zip(whole.names, whole.values, std, strict=True)}
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews), gears,
@@ -576,14 +542,6 @@ def fitted_coupled(
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None
-
-
-def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:
-    """Parameters of a fit with their autocorrelation-robust standard errors, by name; empty without one."""
-    if whole is None:
-        return {}
-    std = robust_covariance(*whole.of_records(), prior_precision=whole.prior_precision).std_error
-    return {n: (float(v), float(s)) for n, v, s in zip(whole.names, whole.values, std, strict=True)}
 
 
 def common_sizes(

@@ -45,10 +45,21 @@ def with_effect(
         beyond = "link_friction" in places and joint.frictions["link_friction"]
         places = ("link_friction",) if beyond and not joint.frictions["motor_friction"] else places[:1]
     # what sits nowhere in particular is the same at any joint
-    laws = [law for law in effect.laws if joint is system.joints[0] or not _everywhere(law)]
+    laws = [
+        law
+        for law in effect.laws
+        if joint is system.joints[0] or not issubclass(law, Shared) or issubclass(law, Attached)
+    ]
     found: dict[str, list[System]] = {}
     for place in places:
-        site = _site(system, scales, place, left)
+        site = Site(
+            **vars(scales),
+            place=place,
+            components=cast("dict[str, Component]", dict(system.components.items())),
+            rigid=bool(system.joint(scales.joint).rigid),
+            ratios=tuple(joint.gear_ratio for joint in system.joints),
+            searches={} if left is None else _searches(left, scales.joint, place),
+        )
         if site.has(*effect.kinds) and not effect.where_held:
             continue
         starts = [(law, values) for law in laws for values in law.starts(site)]
@@ -57,11 +68,6 @@ def with_effect(
         if kept := [model for model in built if model is not None]:
             found[f"{joint.name}/{place}"] = kept
     return found
-
-
-def _everywhere(law: type[Component]) -> bool:
-    """Whether a law acts on all joints and sits at no point of the robot."""
-    return issubclass(law, Shared) and not issubclass(law, Attached)
 
 
 def _listed_elsewhere(system: System, joint: str, law: type[Component], values: Values) -> bool:
@@ -97,18 +103,6 @@ def with_further(effect: Effect, system: System, where: str, left: Residual) -> 
 
     searches = _searches(left, int(joint.removeprefix("joint")), place)
     return [system.with_specs(specs(values)) for values in law.further(searches)]
-
-
-def _site(system: System, scales: Scales, place: str, left: Residual | None) -> Site:
-    """A place of a joint as a law sees it."""
-    return Site(
-        **vars(scales),
-        place=place,
-        components=cast("dict[str, Component]", dict(system.components.items())),
-        rigid=bool(system.joint(scales.joint).rigid),
-        ratios=tuple(joint.gear_ratio for joint in system.joints),
-        searches={} if left is None else _searches(left, scales.joint, place),
-    )
 
 
 def _searches(left: Residual, joint: int, place: str) -> Searches:

@@ -117,12 +117,39 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         nominal: the model before the re-fit.
         fit: its re-fit; parameters that are held or that the nominal model does not have do not count.
     """
-    kept, change, error = _relative(nominal, fit)
+    # which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p)
+    before = {info.name: info.spec.value for info in nominal.table}
+    kept = [k for k, name in enumerate(fit.names) if before.get(name) or (name in before and fit.values[k])]
+    start = np.array([before[fit.names[k]] for k in kept])
+    values = fit.values[kept]
+    positive = (start > 0) & (values > 1e-3 * start)
+    expected = np.where(positive, np.abs(values), np.maximum(np.abs(values), np.abs(start)))
+    ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
+    change = np.where(positive, np.log(ratio), (values - start) / expected)
+    # the data's own estimate: without the pull of the user's priors towards their means
+    own = {info.name: info.spec.prior_mean for info in nominal.table}
+    means = [v if own.get(n) is None else own[n] for n, v in zip(fit.names, fit.values, strict=True)]
+    pull = fit.prior_precision * (fit.values - np.array(means))
+    matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
+    if matched:
+        uncertainty = robust_covariance(*fit.of_records())
+    else:
+        even = [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
+        uncertainty = covariance(fit.jacobian, even)
+    change = change + (uncertainty.inverse_hessian @ pull)[kept] / expected
+    root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
+    root = root * expected
+    information = root.T @ root
+    cov = uncertainty.matrix[np.ix_(kept, kept)] / np.outer(expected, expected)
     names = tuple(fit.names[k] for k in kept)
     if not names:
         return _nothing()
     infos = [nominal.parameter(name) for name in names]
-    axes, spread = _identified(error)
+    # axes (p, m) of relative changes that the records identify, and the covariance along them (m, m)
+    squares, vectors = np.linalg.eigh(information)
+    along = np.einsum("ij,ik,kj->j", vectors, cov, vectors)
+    axes = vectors[:, (squares > 1e-12 * squares[-1]) & (along < VAGUE**2)]
+    spread = axes.T @ cov @ axes + NOMINAL**2 * np.eye(axes.shape[1])
     if not axes.size:
         return _nothing()
     whitener = np.linalg.inv(np.linalg.cholesky(spread))
@@ -142,64 +169,66 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         if s is not chosen
     )
     if chosen is not None:
-        one = _single(nominal, names, passing, total)
+        # the first of the changes that leave nothing sure; the others are indistinguishable from it
+        best = passing[0]
+        one, size, size_std = best.hypothesis, *(x[best.hypothesis.lead] for x in (best.sizes, best.errors))
+        others = tuple(dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name))
+        said = _capital(_words(nominal, best, names))
+        if others:
+            listed = ", ".join(name.replace("_", " ") for name in others)
+            said += f"; indistinguishable in these records from a change of {listed}"
+        one = ParameterChange(
+            name=one.name,
+            joint=one.joint,
+            size=float(np.expm1(size)),
+            interval=(
+                float(np.expm1(size - HALF_WIDTH * size_std)),
+                float(np.expm1(size + HALF_WIDTH * size_std)),
+            ),
+            parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
+            explained=1.0 - best.left / total,
+            words=said,
+            indistinguishable_from=others,
+        )
     else:
         # where no torque is known, changes that differ by the scale of all torques are indistinguishable
         parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
-        alone = _moved_alone(infos, axes, change, spread)
+        # which parameters have surely moved by themselves, and how far (logarithm)
+        powers = np.array([torque_power(info.spec.unit) for info in infos], float)
+        seen = axes @ axes.T
+        if _scale_unseen(infos, axes):
+            seen = seen + np.outer(powers, powers) / float(powers @ powers)
+            change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
+        error = np.sqrt(np.diag(axes @ spread @ axes.T))
+        alone = {
+            k: float(change[k])
+            for k in range(len(infos))
+            if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
+        }
         parts = _beside(parts, alone, whitened, moved)
-        one = _several(nominal, names, parts, alone, max((r.explained for r in rejected), default=0.0))
+        # changes that act at once, and the parameters that moved beside them
+        within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
+        changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
+        beside = ", ".join(
+            f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
+            for info, own in changes
+        )
+        if parts:
+            words = "; ".join(_words(nominal, one, names) for one in parts)
+            words += f"; beside that {beside}" if beside else ""
+        else:
+            words = f"several parameters moved{f': {beside}' if beside else ' together'}"
+        one = ParameterChange(
+            name="several",
+            joint=0,
+            size=0.0,
+            interval=(0.0, 0.0),
+            parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
+            explained=max((r.explained for r in rejected), default=0.0),
+            words=_capital(words),
+            together=tuple(one.hypothesis.name for one in parts),
+        )
     return replace(one, rejected=rejected)
-
-
-def _single(
-    nominal: System, names: tuple[str, ...], passing: list[_Solution], total: float
-) -> ParameterChange:
-    """The first of the changes that leave nothing sure; the others are indistinguishable from it."""
-    chosen = passing[0]
-    one, size, error = chosen.hypothesis, *(x[chosen.hypothesis.lead] for x in (chosen.sizes, chosen.errors))
-    others = tuple(dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name))
-    words = _capital(_words(nominal, chosen, names))
-    if others:
-        listed = ", ".join(name.replace("_", " ") for name in others)
-        words += f"; indistinguishable in these records from a change of {listed}"
-    return ParameterChange(
-        name=one.name,
-        joint=one.joint,
-        size=float(np.expm1(size)),
-        interval=(float(np.expm1(size - HALF_WIDTH * error)), float(np.expm1(size + HALF_WIDTH * error))),
-        parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
-        explained=1.0 - chosen.left / total,
-        words=words,
-        indistinguishable_from=others,
-    )
-
-
-def _several(
-    nominal: System, names: tuple[str, ...], parts: list[_Solution], alone: dict[int, float], explained: float
-) -> ParameterChange:
-    """Changes that act at once, and the parameters that moved beside them."""
-    within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
-    changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
-    beside = ", ".join(
-        f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
-        for info, own in changes
-    )
-    if parts:
-        words = "; ".join(_words(nominal, one, names) for one in parts)
-        words += f"; beside that {beside}" if beside else ""
-    else:
-        words = f"several parameters moved{f': {beside}' if beside else ' together'}"
-    return ParameterChange(
-        name="several",
-        joint=0,
-        size=0.0,
-        interval=(0.0, 0.0),
-        parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
-        explained=explained,
-        words=_capital(words),
-        together=tuple(one.hypothesis.name for one in parts),
-    )
 
 
 def _capital(words: str) -> str:
@@ -212,45 +241,6 @@ def _nothing() -> ParameterChange:
         f"±{100 * HALF_WIDTH * NOMINAL:.0f} % (95 %) to which any nominal value is known, all taken together."
     )
     return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), 0.0, words)
-
-
-def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """Which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p).
-
-    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value. One
-    that is zero before and after has not moved and has no size to be relative to: it does not count.
-    """
-    before = {info.name: info.spec.value for info in nominal.table}
-    kept = [k for k, name in enumerate(fit.names) if before.get(name) or (name in before and fit.values[k])]
-    start = np.array([before[fit.names[k]] for k in kept])
-    values = fit.values[kept]
-    positive = (start > 0) & (values > 1e-3 * start)
-    size = np.where(positive, np.abs(values), np.maximum(np.abs(values), np.abs(start)))
-    ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
-    change = np.where(positive, np.log(ratio), (values - start) / size)
-    # the data's own estimate: without the pull of the user's priors towards their means
-    own = {info.name: info.spec.prior_mean for info in nominal.table}
-    means = [v if own.get(n) is None else own[n] for n, v in zip(fit.names, fit.values, strict=True)]
-    pull = fit.prior_precision * (fit.values - np.array(means))
-    matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
-    if matched:
-        cov = robust_covariance(*fit.of_records())
-    else:
-        even = [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
-        cov = covariance(fit.jacobian, even)
-    change = change + (cov.inverse_hessian @ pull)[kept] / size
-    root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
-    root = root * size
-    return kept, change, np.stack([root.T @ root, cov.matrix[np.ix_(kept, kept)] / np.outer(size, size)])
-
-
-def _identified(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (p, m) of relative changes that the records identify, and the covariance along them (m, m)."""
-    information, cov = error
-    squares, vectors = np.linalg.eigh(information)
-    along = np.einsum("ij,ik,kj->j", vectors, cov, vectors)
-    axes = vectors[:, (squares > 1e-12 * squares[-1]) & (along < VAGUE**2)]
-    return axes, axes.T @ cov @ axes + NOMINAL**2 * np.eye(axes.shape[1])
 
 
 def _solve(hypothesis: _Hypothesis, whitened_axes: np.ndarray, moved: np.ndarray) -> _Solution:
@@ -348,30 +338,23 @@ def _hypotheses(system: System, infos: list[ParameterInfo]) -> Iterator[_Hypothe
     for joint in [*joints, *([0] if len(joints) > 1 else [])]:
         mine = [joint in (0, joint_of(info)) for info in infos]
         loads = [m or coupled for m in mine] if joint == max(joints) else [m and not coupled for m in mine]
-        yield from _load(system, infos, 0 if coupled else joint, loads)
-        for name, part in (
-            ("friction", _friction),
-            ("supply", _supply),
-            ("torque_gain", _torque_gain),
-            ("motor_constant", _motor_constant),
-            ("sensor_scale", _sensor_scale),
-        ):
-            powers = np.array([part(system, info) if m else 0.0 for info, m in zip(infos, mine, strict=True)])
+        # a heavier or lighter link: inertias and weights, each by its own share, for the rotor is part of an inertia
+        weighs = np.array([m and _is_weight(system, info) for info, m in zip(infos, loads, strict=True)])
+        inert = np.array([m and _is_inertia(system, info) for info, m in zip(infos, loads, strict=True)])
+        load = weighs | inert
+        if load.any():
+            order = np.flatnonzero(load)
+            lead = next((k for k, index in enumerate(order) if weighs[index]), 0)
+            columns = np.eye(len(infos))[:, order]
+            yield _Hypothesis("load", 0 if coupled else joint, columns, together=True, lead=lead)
+        for name in ("friction", "supply", "torque_gain", "motor_constant", "sensor_scale"):
+            powers = np.array(
+                [_power(name, system, info) if m else 0.0 for info, m in zip(infos, mine, strict=True)]
+            )
             if np.any(powers):
                 yield _Hypothesis(name, joint, powers[:, None])
             if name == "friction" and np.count_nonzero(powers) > 1:
                 yield _Hypothesis(name, joint, np.eye(len(infos))[:, powers != 0])
-
-
-def _load(system: System, infos: list[ParameterInfo], joint: int, mine: list[bool]) -> Iterator[_Hypothesis]:
-    """A heavier or lighter link: inertias and weights, each by its own share, since the rotor is part of an inertia."""
-    weighs = np.array([m and _is_weight(system, info) for info, m in zip(infos, mine, strict=True)])
-    load = weighs | np.array([m and _is_inertia(system, info) for info, m in zip(infos, mine, strict=True)])
-    if not load.any():
-        return
-    order = np.flatnonzero(load)
-    lead = next((k for k, index in enumerate(order) if weighs[index]), 0)
-    yield _Hypothesis("load", joint, np.eye(len(infos))[:, order], together=True, lead=lead)
 
 
 def _part(system: System, info: ParameterInfo) -> Component:
@@ -389,30 +372,20 @@ def _is_inertia(system: System, info: ParameterInfo) -> bool:
     return link and "kg" in info.spec.unit and info.symbol != "J_m"
 
 
-def _friction(system: System, info: ParameterInfo) -> float:
-    """Dry levels and viscous coefficients, one factor."""
-    return float(isinstance(_part(system, info), Friction) and torque_power(info.spec.unit) == 1)
-
-
-def _supply(system: System, info: ParameterInfo) -> float:
-    """A gain c on the voltage: ``P_m1 (c U - P_m2 v) = c P_m1 (U - P_m2 / c v)``."""
-    return {"P_m1": 1.0, "P_m2": -1.0}.get(info.symbol, 0.0) * isinstance(_part(system, info), DCMotor)
-
-
-def _torque_gain(system: System, info: ParameterInfo) -> float:
-    """More torque per command at the same back-EMF: winding resistance, current gain."""
+def _power(change: str, system: System, info: ParameterInfo) -> float:
+    """With which power of the size of a change a parameter moves; 0 where it does not."""
     part = _part(system, info)
-    motor = isinstance(part, DCMotor | CurrentMotor | TorqueMotor)
-    return float(motor and info.symbol in ("P_m1", "k_t", "gain"))
-
-
-def _motor_constant(system: System, info: ParameterInfo) -> float:
-    """Torque constant and back-EMF together: magnets."""
-    return float(isinstance(_part(system, info), DCMotor))
-
-
-def _sensor_scale(system: System, info: ParameterInfo) -> float:
-    """An angle read c times too large: each power of rad in a unit takes one of c; weight turns with the true angle."""
+    match change:
+        case "friction":  # dry levels and viscous coefficients, one factor
+            return float(isinstance(part, Friction) and torque_power(info.spec.unit) == 1)
+        case "supply":  # a gain c on the voltage: ``P_m1 (c U - P_m2 v) = c P_m1 (U - P_m2 / c v)``
+            return {"P_m1": 1.0, "P_m2": -1.0}.get(info.symbol, 0.0) * isinstance(part, DCMotor)
+        case "torque_gain":  # more torque per command at the same back-EMF: winding resistance, current gain
+            motor = isinstance(part, DCMotor | CurrentMotor | TorqueMotor)
+            return float(motor and info.symbol in ("P_m1", "k_t", "gain"))
+        case "motor_constant":  # torque constant and back-EMF together: magnets
+            return float(isinstance(part, DCMotor))
+    # an angle read c times too large: each power of rad in a unit takes one of c; weight turns with the true angle
     if any(isinstance(part, Gravity | ArmGravity) for part in system.components.values()):
         return 0.0
     if _is_inertia(system, info) or info.symbol == "J_m":
@@ -488,23 +461,3 @@ def _scale_unseen(infos: list[ParameterInfo], axes: np.ndarray) -> bool:
     powers = np.array([torque_power(info.spec.unit) for info in infos], float)
     size = float(np.linalg.norm(powers))
     return size > 0.0 and float(np.linalg.norm(axes.T @ powers)) < 0.01 * size
-
-
-def _moved_alone(
-    infos: list[ParameterInfo], axes: np.ndarray, change: np.ndarray, spread: np.ndarray
-) -> dict[int, float]:
-    """Which parameters have surely moved by themselves, and how far (logarithm).
-
-    Where the records do not identify the common scale of torques, the median of their changes is taken for it.
-    """
-    powers = np.array([torque_power(info.spec.unit) for info in infos], float)
-    seen = axes @ axes.T
-    if _scale_unseen(infos, axes):
-        seen = seen + np.outer(powers, powers) / float(powers @ powers)
-        change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
-    error = np.sqrt(np.diag(axes @ spread @ axes.T))
-    return {
-        k: float(change[k])
-        for k in range(len(infos))
-        if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
-    }

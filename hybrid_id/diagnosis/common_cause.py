@@ -81,7 +81,23 @@ def judged_by_all(robot: WholeRobot) -> dict[str, Answer]:
     Asked is what two joints or more find likely and not all of these assert. The others move as they were measured.
     """
     found = dict(robot.answers)
-    for effect, each in _witnesses(robot.answers):
+    # the effects of all joints that are to be judged, each with its witnesses by joint; the most of them first
+    kinds = defaultdict[What, dict[str, Witness]](dict)
+    for joint, answer in robot.answers.items():
+        asserted = {(one.name, one.where) for one in answer.grade.effects if one.selected}
+        for kind, (last, model, odds) in last_words(answer.found).items():
+            likely = odds[kind] >= max(AS_LIKELY * max(odds.values()), CRITERIA.base_rate)
+            if acts_on_all(kind[0]) and model.judged and (likely or kind in asserted):
+                others = [e for e in last.candidates if e.judged and e is not model]
+                rival = max(others, key=lambda e: odds[added_effect(e, last.before)], default=None)
+                heard = Witness(kind, last.before, model, rival, kind in asserted)
+                kinds[what(kind, model.system)][joint] = heard
+    asked = [
+        (kind, each)
+        for kind, each in kinds.items()
+        if len(each) > 1 and not all(heard.asserted for heard in each.values())
+    ]
+    for effect, each in sorted(asked, key=lambda one: -len(one[1])):
         robot.say("what acts on all joints", 0, 1)
         some = replace(robot, answers={name: found[name] for name in each})
         try:
@@ -98,26 +114,6 @@ def judged_by_all(robot: WholeRobot) -> dict[str, Answer]:
                 searched = replace(searched, chosen=step.candidates[0], steps=(*searched.steps, step))
                 found[name] = some.frozen(name, searched)
     return found
-
-
-def _witnesses(answers: Mapping[str, Answer]) -> list[tuple[What, dict[str, Witness]]]:
-    """The effects of all joints that are to be judged, each with its witnesses by joint; the most of them first."""
-    found = defaultdict[What, dict[str, Witness]](dict)
-    for name, answer in answers.items():
-        asserted = {(one.name, one.where) for one in answer.grade.effects if one.selected}
-        for effect, (step, model, odds) in last_words(answer.found).items():
-            likely = odds[effect] >= max(AS_LIKELY * max(odds.values()), CRITERIA.base_rate)
-            if acts_on_all(effect[0]) and model.judged and (likely or effect in asserted):
-                others = [e for e in step.candidates if e.judged and e is not model]
-                rival = max(others, key=lambda e: odds[added_effect(e, step.before)], default=None)
-                witness = Witness(effect, step.before, model, rival, effect in asserted)
-                found[what(effect, model.system)][name] = witness
-    asked = [
-        (effect, each)
-        for effect, each in found.items()
-        if len(each) > 1 and not all(witness.asserted for witness in each.values())
-    ]
-    return sorted(asked, key=lambda one: -len(one[1]))
 
 
 def _without(robot: WholeRobot, effect: What, each: Mapping[str, Witness]) -> dict[str, FittedModel] | None:

@@ -18,7 +18,6 @@ from scipy.optimize import minimize_scalar
 
 from hybrid_id.components.base import Component, ServoLoop
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
 from hybrid_id.diagnosis.grade import chance_of_presence
 from hybrid_id.diagnosis.model import FittedModel
@@ -87,7 +86,22 @@ def with_gears(system: System, gears: Sequence[CoupledGear]) -> System:
 def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
     """The gears that the records show, the likeliest first; of a joint at most one."""
     found = list[CoupledGear]()
-    pairs = _pairs(robot)
+    # neighbours that both lack something, one of them outside the catalogue, angles logged, and driven by no loop
+    tree, pairs = cast(RigidBodyTree, robot.nominal.tree), []
+    logged = {channel.name for channel in robot.dataset.outputs}
+    for driven, own in enumerate(tree.joints):
+        pair = (own.parent, driven)
+        names = [tree.names[k] for k in pair if k >= 0]
+        lacking = [
+            answer
+            for name in names
+            if (answer := robot.answers.get(name)) is not None
+            and bool(answer.grade.unknown or answer.found.chosen.effects)
+        ]
+        able = len(lacking) == 2 and any(answer.grade.unknown for answer in lacking)
+        able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
+        if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
+            pairs.append(pair)
     for done, (joint, motor) in enumerate(pairs):
         robot.say("coupled gears", done, len(pairs))
         if (one := _gear(robot, joint, motor)) is not None:
@@ -99,28 +113,6 @@ def coupled_gears(robot: WholeRobot) -> tuple[CoupledGear, ...]:
         ):
             kept.append(one)
     return tuple(kept)
-
-
-def _pairs(robot: WholeRobot) -> list[tuple[int, int]]:
-    """Neighbours that both lack something, one of them outside the catalogue, angles logged, and driven by no loop.
-
-    A loop over the motor's own angle would lead the joint astray wherever its neighbour goes, which nobody overlooks.
-    """
-    tree, found = cast(RigidBodyTree, robot.nominal.tree), []
-    logged = {channel.name for channel in robot.dataset.outputs}
-    for motor, own in enumerate(tree.joints):
-        pair = (own.parent, motor)
-        names = [tree.names[k] for k in pair if k >= 0]
-        lacking = [one for name in names if (one := robot.answers.get(name)) is not None and _lacks(one)]
-        able = len(lacking) == 2 and any(one.grade.unknown for one in lacking)
-        able = able and logged.issuperset(f"q_a{k + 1}" for k in pair)
-        if able and not any(isinstance(robot.nominal.joints[k].drive.input[1], ServoLoop) for k in pair):
-            found.append(pair)
-    return found
-
-
-def _lacks(answer: Answer) -> bool:
-    return bool(answer.grade.unknown or answer.found.chosen.effects)
 
 
 def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
@@ -170,7 +162,19 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
         if instead is not None and instead.error <= richer.error:
             return None
     rivals = [one for other in TURNS[1:-1] if other and (one := fitted(other)) is not None]
-    return _shown(replace(gear, turns=turns, std=std), plain, richer, rivals)
+    # as records left out bear it out
+    weights = plain.validation.even_weights()
+
+    def weighted(one: FittedModel) -> FittedModel:
+        return replace(one, validation=one.validation.weighted(weights))
+
+    plain, richer = weighted(plain), weighted(richer)
+    p = chance(richer, plain, [weighted(one) for one in rivals])
+    sure = chance_of_presence(richer, plain, p)
+    if not passes(richer, plain, p) or sure < CRITERIA.least_probability:
+        return None
+    share = richer.validation.fall(plain.validation)
+    return replace(gear, turns=turns, std=std, share=share, probability=sure)
 
 
 def _error(richer: FittedModel, below: FittedModel | None, above: FittedModel | None) -> float:
@@ -193,27 +197,3 @@ def _error(richer: FittedModel, below: FittedModel | None, above: FittedModel | 
     worth = richer.trained * richer.result.n_samples / max(richer.validation.effective, 1.0)
     scatter = len(gradient) * float(np.var(list(gradient.values()), ddof=1))
     return max((worth / information) ** 0.5, scatter**0.5 / information, 0.25 * CLOSE)
-
-
-def _shown(
-    gear: CoupledGear, plain: FittedModel, richer: FittedModel, rivals: Sequence[FittedModel]
-) -> CoupledGear | None:
-    """A gear as records left out bear it out; None where they do not.
-
-    Args:
-        gear: with its turns.
-        plain: both joints without it.
-        richer: both with it.
-        rivals: with other turns, which have been tried, too.
-    """
-    weights = plain.validation.even_weights()
-
-    def weighted(one: FittedModel) -> FittedModel:
-        return replace(one, validation=one.validation.weighted(weights))
-
-    plain, richer = weighted(plain), weighted(richer)
-    p = chance(richer, plain, [weighted(one) for one in rivals])
-    sure = chance_of_presence(richer, plain, p)
-    if not passes(richer, plain, p) or sure < CRITERIA.least_probability:
-        return None
-    return replace(gear, share=richer.validation.fall(plain.validation), probability=sure)

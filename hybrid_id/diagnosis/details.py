@@ -126,22 +126,13 @@ def as_identified(fits: Fits, model: FittedModel, *, seed: int = 0, level: float
     there = finite_difference_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
     seen = check_identifiability(dataset, system, signal_share=share)
     unseen = [one.relative for one in seen.directions if not np.isfinite(one.relative_std)]
-    there = replace(
-        there,
-        status=found.status,
-        iterations=found.iterations,
-        jacobian=tuple(_without(part, there.values, unseen) for part in there.jacobian),
-    )
+    jacobian = there.jacobian
+    if unseen:  # sensitivities (T, n_y, n_f) without what they show along relative changes that nothing sees
+        axes = np.linalg.qr(np.where(there.values == 0.0, 0.0, np.array(unseen)).T)[0]
+        size = np.where(there.values == 0.0, 1.0, there.values)
+        scaled = (part * size for part in jacobian)
+        jacobian = tuple((relative - (relative @ axes) @ axes.T) / size for relative in scaled)
+    there = replace(there, status=found.status, iterations=found.iterations, jacobian=jacobian)
     return analyse_fits(
         dataset, system, [there], pooled=True, batch=batch, seed=seed, signal_share=share, level=level
     )
-
-
-def _without(jacobian: np.ndarray, values: np.ndarray, unseen: list[np.ndarray]) -> np.ndarray:
-    """Sensitivities ``(T, n_y, n_f)`` without what they show along relative changes ``(n_f,)`` that nothing sees."""
-    if not unseen:
-        return jacobian
-    axes = np.linalg.qr(np.where(values == 0.0, 0.0, np.array(unseen)).T)[0]
-    size = np.where(values == 0.0, 1.0, values)
-    relative = jacobian * size
-    return (relative - (relative @ axes) @ axes.T) / size

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,7 @@ import numpy as np
 from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
-from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, repeatability, shrink, unconfirmed
+from hybrid_id.diagnosis.errors_on_test import errors, repeatability, shrink, unconfirmed
 from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.grade import (
     Grade,
@@ -143,19 +143,6 @@ def answered(
     )
     say("location", 0, 1)
     return measured, freeze(fits, found, system, seed=seed)
-
-
-def reported(
-    measured: Measured,
-    system: System,
-    answer: Answer,
-    *,
-    seed: int = 0,
-    level: float = 0.95,
-) -> Diagnosis:
-    """Stages test and report of :func:`diagnose`."""
-    tested = test(measured.dataset, system, answer, seed=seed)
-    return report(measured.dataset, system, answer, tested, skews=measured.skews, seed=seed, level=level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,7 +372,12 @@ def _over_short(
     """
     if first is None:
         return selection_step(*short, system, progress=progress)
-    rivals, step = _rivals(first), None
+    # The effects that explain the greater part of what any of them does. What shows over shorter runs alone is a
+    # smaller effect: a slow one shows along whole runs, and may be most of the gap.
+    most = min((e.trained for e in first.candidates), default=0.0)
+    least = first.before.trained - CRITERIA.major_share * (first.before.trained - most)
+    rivals = frozenset(added_effect(e, first.before) for e in first.candidates if e.trained <= least)
+    step = None
     if fits.astray(best) > CRITERIA.lost or not accepted_ones(first):
         step = selection_step(*short, system, progress=progress)
         if accepted_ones(step) and _left(step) < CRITERIA.left_open * _left(first):
@@ -419,17 +411,6 @@ def _differing(fits: Fits, model: FittedModel, system: System) -> PerRecord | No
     return own if own is not None and own.explained else None
 
 
-def _rivals(step: SelectionStep) -> frozenset[Name]:
-    """The effects that explain the greater part of what any of them does of the train records.
-
-    Shorter runs are to tell these apart. What shows over those alone is a smaller effect: a slow one shows along whole
-    runs, and may be most of the gap.
-    """
-    most = min((e.trained for e in step.candidates), default=0.0)
-    least = step.before.trained - CRITERIA.major_share * (step.before.trained - most)
-    return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained <= least)
-
-
 def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
     """Freeze the answer, once all that is selected is sure enough to be asserted.
 
@@ -447,7 +428,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         own = (found.own or per_record(fits, chosen, system)) if structural > CRITERIA.coloured else None
         if own is not None:
             structural = 0.0 if own.explained else structural_share(chosen, after, own.autocorrelation)
-            found = _for_all_records(found, own)
+            found = replace(found, chosen=own.model, base=found.base if own.model.effects else own.model)
         varying = () if own is None else own.varying
         graded = grade(fits, found, structural, seed=seed)
         unsure = doubtful(graded)
@@ -455,24 +436,39 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
             break
         name = unsure[-1]
         rest = best_without(fits, found.base, chosen, name, found.steps) or found.base
-        rejected[_in_words(name)] = _rests_on(fits, found.chosen, rest)
+        # the record without which the model predicts no better than the simpler one; empty where there is none
+        record = None
+        if found.chosen.judged and rest.judged:
+            record = found.chosen.validation.rests_on(rest.validation)
+        judging = fits.dataset.validation or fits.dataset.train
+        rejected[_in_words(name)] = "" if record is None else judging[record].name
         found = replace(found, chosen=rest, unsure=(*found.unsure, name))
     nothing = not found.chosen.effects and not graded.unknown and not varying
     identified = (
         check_identifiability(fits.dataset, system, signal_share=fits.signal_share) if nothing else None
     )
     std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
-    found = _unheld(_final(fits, found), system)
-    wrong = _wrong_values(fits, system, found.base)
+    if fits.dataset.validation:  # fitted once more, to train and validation records together
+        models = [found.base] if found.chosen is found.base else [found.base, found.chosen]
+        ends = fits.on_all().run([Task(e.effects, e.system) for e in models], FULL)
+        ends = [end or e for end, e in zip(ends, models, strict=True)]
+        found = replace(found, base=ends[0], chosen=ends[-1])
+    found = _unheld(found, system)
+    # whether the nominal values err clearly more on the train records than the re-fitted ones
+    both = [
+        errors(
+            fits.dataset,
+            one,
+            engine(),
+            fits.dataset.train,
+            horizon=fits.horizon,
+            signal_share=fits.signal_share,
+        )
+        for one in (system, found.base.system)
+    ]
+    nominal, refit = both
+    wrong = nominal is not None and refit is not None and nominal.nrmse >= CRITERIA.wrong_values * refit.nrmse
     return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
-
-
-def _rests_on(fits: Fits, richer: FittedModel, simpler: FittedModel) -> str:
-    """Name of the record without which a model predicts no better than a simpler one; empty where there is none."""
-    if not (richer.judged and simpler.judged):
-        return ""
-    record = richer.validation.rests_on(simpler.validation)
-    return "" if record is None else (fits.dataset.validation or fits.dataset.train)[record].name
 
 
 def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -492,24 +488,6 @@ def _in_words(name: Name) -> str:
     return f"{name[0]} at {name[1]}"
 
 
-def _for_all_records(found: Selection, own: PerRecord) -> Selection:
-    """The search with the model whose values stand for all records."""
-    if own.model.effects:
-        return replace(found, chosen=own.model)
-    return replace(found, chosen=own.model, base=own.model)
-
-
-def _final(fits: Fits, found: Selection) -> Selection:
-    """The chosen and the nominal model fitted once more, to train and validation records together."""
-    if not fits.dataset.validation:
-        return found
-    everything = fits.on_all()
-    models = [found.base] if found.chosen is found.base else [found.base, found.chosen]
-    ends = everything.run([Task(e.effects, e.system) for e in models], FULL)
-    ends = [end or e for end, e in zip(ends, models, strict=True)]
-    return replace(found, base=ends[0], chosen=ends[-1])
-
-
 def _unheld(found: Selection, nominal: System) -> Selection:
     """The models without the priors that held their parameters during the search, which nobody has given."""
 
@@ -522,147 +500,67 @@ def _unheld(found: Selection, nominal: System) -> Selection:
     return replace(found, base=base, chosen=base if found.chosen is found.base else free(found.chosen))
 
 
-def _wrong_values(fits: Fits, system: System, base: FittedModel) -> bool:
-    """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
-    both = [
-        errors(
-            fits.dataset,
-            one,
-            engine(),
-            fits.dataset.train,
-            horizon=fits.horizon,
-            signal_share=fits.signal_share,
-        )
-        for one in (system, base.system)
-    ]
-    nominal, refit = both
-    return nominal is not None and refit is not None and nominal.nrmse >= CRITERIA.wrong_values * refit.nrmse
+def reported(
+    measured: Measured, system: System, answer: Answer, *, seed: int = 0, level: float = 0.95
+) -> Diagnosis:
+    """Stages test and report of :func:`diagnose`: all that a diagnosis shows and writes, in one object.
 
-
-@dataclass(frozen=True, eq=False)
-class Tested:
-    """What the test records say of a frozen answer; all None without test records that move.
-
-    Attributes:
-        nominal, refit, with_effect: errors of the nominal, the re-fitted and the corrected model.
-        shrink: how far the gap shrinks.
-        contradiction: where these records contradict the answer, in a sentence; empty elsewhere.
-        rest_differs: whether free runs halt at other rest positions than the machine, while the corrected model follows
-            them from measured states.
+    The test records are opened once, to measure the gap before and after over the horizon of the fits.
     """
-
-    nominal: Errors | None = None
-    refit: Errors | None = None
-    with_effect: Errors | None = None
-    shrink: Shrink | None = None
-    contradiction: str = ""
-    rest_differs: bool = False
-
-
-def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> Tested:
-    """Stage test: open the test records, once, and measure the gap before and after over the horizon of the fits."""
-    fits, base, chosen = answer.fits, answer.found.base, answer.found.chosen
+    dataset, found, graded, fits = measured.dataset, answer.found, answer.grade, answer.fits
+    base, chosen = found.base, found.chosen
     models = ((system, engine()), (base.system, base.result.engine), (chosen.system, chosen.result.engine))
     nominal, first, last = (
         errors(dataset, one, how, horizon=fits.horizon, signal_share=fits.signal_share) for one, how in models
     )
+    gap, contradiction, differs = None, "", False
     if nominal is None or first is None or last is None:
-        return Tested()
-    left = (
-        last.autocorrelation
-        if last.autocorrelation > CRITERIA.coloured or behind_play(chosen)
-        else answer.structural
-    )
-    again = repeatability(dataset) if fits.whole else None
-    rest = last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))
-    floor = min(max(last.noise, rest if again is None else again), last.nrmse)
-    gap = replace(shrink(first, last, floor, seed=seed), repeated=again is not None)
-    differs = _rest_differs(fits, base, chosen, last)
-    return Tested(nominal, first, last, gap, "" if differs else _contradiction(answer, gap, last), differs)
-
-
-def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:
-    """Where the test records contradict a frozen answer, in a sentence."""
-    if answer.found.chosen.effects and (said := unconfirmed(gap, "model")):
-        return said
-    trained = np.sqrt(mean_square(answer.found.chosen.result.residual))
-    quiet = answer.found.chosen.autocorrelation <= CRITERIA.coloured
-    if (
-        quiet
-        and last.autocorrelation > CRITERIA.coloured
-        and last.over_noise > 2.0 * max(trained, CRITERIA.negligible)
-    ):
-        return (
-            "The test records show what no train record shows: give one of them the role 'train' and diagnose "
-            "again."
-        )
-    return ""
-
-
-def _rest_differs(fits: Fits, base: FittedModel, chosen: FittedModel, last: Errors) -> bool:
-    """Whether free runs over the test records are lost at other rest positions, although the model is right about them.
-
-    Such a model is judged by windows that begin at measured states: of what the re-fitted model leaves there, it has to
-    leave next to nothing.
-    """
-    if (
-        not fits.whole
-        or last.autocorrelation <= CRITERIA.coloured
-        or not chosen.effects
-        or behind_play(chosen)
-    ):
-        return False
-    left = []
-    for system in (base.system, chosen.system):
-        batch = batch_of(fits.dataset, system, fits.dataset.test, fits.signal_share, "cpu")
-        found = window_errors(system, engine(), batch, WINDOW)
-        left.append(sum(float(np.square(one).sum()) for one in found))
-    return 0.0 < left[1] < CRITERIA.left_open * left[0]
-
-
-def _changes(answer: Answer, system: System) -> str:
-    """Which physical change explains the new values, in a sentence.
-
-    Beside effects, or where something unknown remains, only a load: these change friction, and what scales everything,
-    themselves.
-    """
-    fit = answer.found.chosen.result
-    if fit.left_early or not (answer.wrong_values or answer.verdict == "parameters_only"):
-        return ""
-    change = find_change(system, fit)
-    several = change.together or (change.name,)
-    return change.words if answer.verdict == "parameters_only" or "load" in several else ""
-
-
-def _experiments(dataset: Dataset, found: Selection, fits: Fits) -> tuple[Experiment, ...]:
-    """What to record next; nothing where a model cannot be simulated so: a proposal must not cost the answer."""
-    horizon = fits.horizon if found.near is None else found.near.horizon
+        nominal = first = last = None
+    else:
+        coloured, play = last.autocorrelation > CRITERIA.coloured, behind_play(chosen)
+        left = last.autocorrelation if coloured or play else answer.structural
+        again = repeatability(dataset) if fits.whole else None
+        rest = last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))
+        floor = min(max(last.noise, rest if again is None else again), last.nrmse)
+        gap = replace(shrink(first, last, floor, seed=seed), repeated=again is not None)
+        # Whether free runs over them are lost at other rest positions, although the model is right about them: by
+        # windows that begin at measured states, where it leaves next to nothing of what the re-fitted model leaves.
+        if fits.whole and coloured and chosen.effects and not play:
+            squares = []
+            for model in (base.system, chosen.system):
+                batch = batch_of(fits.dataset, model, fits.dataset.test, fits.signal_share, "cpu")
+                windows = window_errors(model, engine(), batch, WINDOW)
+                squares.append(sum(float(np.square(one).sum()) for one in windows))
+            differs = 0.0 < squares[1] < CRITERIA.left_open * squares[0]
+        if not differs:
+            contradiction = unconfirmed(gap, "model") if chosen.effects else ""
+            quiet = chosen.autocorrelation <= CRITERIA.coloured
+            least = max(np.sqrt(mean_square(chosen.result.residual)), CRITERIA.negligible)
+            if not contradiction and quiet and coloured and last.over_noise > 2.0 * least:
+                contradiction = (
+                    "The test records show what no train record shows: give one of them the role 'train' and diagnose "
+                    "again."
+                )
+    # Which physical change explains the new values. Beside effects, or where something unknown remains, only a load:
+    # these change friction, and what scales everything, themselves.
+    changes, alone = "", answer.verdict == "parameters_only"
+    if not chosen.result.left_early and (answer.wrong_values or alone):
+        change = find_change(system, chosen.result)
+        changes = change.words if alone or "load" in (change.together or (change.name,)) else ""
+    # what to record next; nothing where a model cannot be simulated so: a proposal must not cost the answer
+    experiments = list[Experiment]()
     fine, coarse = dataset.sample_time, fits.dataset.sample_time
-    thinned = coarse / fine if fine and coarse else 1.0
     with suppress(RuntimeError, InputError, np.linalg.LinAlgError):
-        return tuple(
-            next_experiment(
-                dataset, tied_models(found), horizon, signal_share=fits.signal_share, thinned=thinned
-            )
+        experiments = next_experiment(
+            dataset,
+            tied_models(found),
+            fits.horizon if found.near is None else found.near.horizon,
+            signal_share=fits.signal_share,
+            thinned=coarse / fine if fine and coarse else 1.0,
         )
-    return ()
-
-
-def report(
-    dataset: Dataset,
-    system: System,
-    answer: Answer,
-    tested: Tested,
-    *,
-    skews: Sequence[Skew] = (),
-    seed: int = 0,
-    level: float = 0.95,
-) -> Diagnosis:
-    """Stage report: all that a diagnosis shows and writes, in one object."""
-    found, graded, fits = answer.found, answer.grade, answer.fits
     substantial = graded.unknown or graded.remainder >= CRITERIA.substantial
-    named_joint = bool(found.chosen.effects) and len(system.joints) > 1
-    odd = bool(implausible_parameters(system, found.base.system))
+    named_joint = bool(chosen.effects) and len(system.joints) > 1
+    odd = bool(implausible_parameters(system, base.system))
     identified = check_identifiability(dataset, system, signal_share=fits.signal_share) if odd else None
     return Diagnosis(
         case=dataset.name,
@@ -675,29 +573,27 @@ def report(
         beyond_floor=graded.beyond_floor,
         horizon=fits.horizon,
         sample_time=fits.dataset.sample_time,
-        nominal=tested.nominal,
-        refit=tested.refit,
-        with_effect=tested.with_effect,
-        shrink=tested.shrink,
-        contradiction=tested.contradiction,
-        rest_differs=tested.rest_differs,
+        nominal=nominal,
+        refit=first,
+        with_effect=last,
+        shrink=gap,
+        contradiction=contradiction,
+        rest_differs=differs,
         location=answer.before,
         residual_after=answer.after,
-        implausible=tuple(implausible_parameters(system, found.base.system, identified)),
-        experiments=_experiments(dataset, found, fits),
+        implausible=tuple(implausible_parameters(system, base.system, identified)),
+        experiments=tuple(experiments),
         rejected=answer.rejected,
         varying=answer.varying,
-        not_identifiable=not_identifiable(dataset, found.chosen.system),
+        not_identifiable=not_identifiable(dataset, chosen.system),
         confounded=tuple(confounded_signals(dataset.records)),
         extrapolation=tuple(beyond(dataset)),
-        disturbances=tuple(disturbances(fits, found.chosen)) if substantial else (),
-        disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),
+        disturbances=tuple(disturbances(fits, chosen)) if substantial else (),
+        disturbances_before=tuple(disturbances(fits, base)) if named_joint else (),
         relative_std=answer.relative_std,
-        changes=_changes(answer, system),
-        skews=tuple(one.message for one in skews),
+        changes=changes,
+        skews=tuple(one.message for one in measured.skews),
         tally=copy.deepcopy(fits.tally),  # details that are asked for later count nowhere
         search=found,
-        details=Details(
-            fits, system, found.fitted, answer.before, tested.with_effect, seed=seed, level=level
-        ),
+        details=Details(fits, system, found.fitted, answer.before, last, seed=seed, level=level),
     )

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.model import FittedModel, Name, Tally, Unfitted, kept_model
 from hybrid_id.diagnosis.plausibility import NUISANCE
-from hybrid_id.diagnosis.validation import Validation, autocorrelation, mean_square, validation
+from hybrid_id.diagnosis.validation import autocorrelation, mean_square, validation
 from hybrid_id.errors import InputError, MachineError, shortened
 from hybrid_id.identification.finite_differences import (
     STEPS,
@@ -180,7 +179,16 @@ class Fits:
             round(SUBSTEP_RATE * batch.sample_time), 2 * with_substeps(system, engine(), batch).substeps, 1
         )
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
-        best = self._best([Task((), near.system, x0=near.x0), Task((), system)])
+        # the fit from several starts that ends lowest; the first that leaves no more than noise is enough
+        starts = [Task((), near.system, x0=near.x0), Task((), system)]
+        fitted_ends = list[FittedModel]()
+        for start in starts:
+            fitted_ends += [
+                end for end in self.run([replace(start, judged_below=0.0)], FULL) if end is not None
+            ]
+            if fitted_ends and fitted_ends[-1].white:
+                break
+        best = min(fitted_ends, key=lambda e: e.result.cost, default=None)
         if best is None:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
@@ -199,15 +207,6 @@ class Fits:
         best = min(judged, key=lambda e: e.result.cost, default=best)
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
-
-    def _best(self, starts: Sequence[Task]) -> FittedModel | None:
-        """The fit from several starts that ends lowest; the first that leaves no more than noise is enough."""
-        ends = list[FittedModel]()
-        for start in starts:
-            ends += [end for end in self.run([replace(start, judged_below=0.0)], FULL) if end is not None]
-            if ends and ends[-1].white:
-                break
-        return min(ends, key=lambda e: e.result.cost, default=None)
 
     def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
         """The nominal model with its parameters held as closely as predicts records left out best.
@@ -263,7 +262,10 @@ class Fits:
                 # another process need not know the catalogue, to which the user may have added
                 calls = (delayed(_kept)(self, t, iterations, over_angle(t.effects)) for t in some)
                 for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
-                    found.append(self._counted(outcome))
+                    self.tally.tried += 1
+                    if isinstance(outcome, Unfitted):
+                        self.tally.failed[outcome] += 1
+                    found.append(None if isinstance(outcome, Unfitted) else outcome)
                     if done is not None:
                         done()
             except (BrokenProcessPool, OSError):  # for want of memory, say: the rest in turn
@@ -272,13 +274,6 @@ class Fits:
                 self.jobs = 1
             self.fitted += sum(len(task.system.state_names) for task in some) * samples
         return found
-
-    def _counted(self, outcome: Any) -> FittedModel | None:
-        self.tally.tried += 1
-        if isinstance(outcome, Unfitted):
-            self.tally.failed[outcome] += 1
-            return None
-        return outcome
 
 
 def with_priors(system: System, nominal: System, fitted: FittedModel, share: float) -> System:
@@ -356,7 +351,21 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
         batch = fits.batch(task.system)
         hidden = fits.whole and hidden_links(task.system, batch)
         if not fits.whole:
-            result = _over_windows(fits, task, batch, iterations)
+            # the fit to windows from the start, or from where a fit over short ones has ended, whichever ends lower
+            ends = [_within(fits.engine, task.system, batch, iterations)]
+            if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
+                with suppress(*FAILURES):
+                    short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
+                    near = _within(fits.engine, task.system, short, iterations)
+                    ends.append(_within(fits.engine, near.system, batch, iterations))
+            end = min(ends, key=lambda end: end.cost)
+            if iterations < FULL:
+                result = end
+            else:
+                records, options = fits.records(task.system), _near(FINER)
+                result = settled(
+                    [end], fits.horizon, records, engine=fits.engine, options=options, warm=False
+                )[0]
         elif hidden or iterations <= COARSE:
             result = finite_difference_fit(
                 task.system, batch, engine=fits.engine, iterations=iterations, near=task.near, x0=task.x0
@@ -368,9 +377,10 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
         # what is taken as it stands has seen no validation record either
         judge = full or (iterations == 0 and bool(fits.dataset.validation))
         judge = judge and mean_square(result.residual) < task.judged_below
-        found = (
-            _judged(fits, result) if judge else validation(result.residual, batch.sample_time, batch.names)
-        )
+        errors = _unseen(fits, result) if judge else (result.residual, batch.sample_time, batch.names)
+        found = validation(*errors)
+        if judge and fits.weights is not None:  # each record as it counts
+            found = found.weighted(fits.weights)
     except FAILURES as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
@@ -379,12 +389,6 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
     if not sound:
         return Unfitted(task.effects, "its errors or their slopes are not finite")
     return FittedModel(task.effects, result.condensed(), found, judge)  # a search keeps hundreds
-
-
-def _judged(fits: Fits, result: FitResult) -> Validation:
-    """Errors of a fit on records that it has not seen, each record as it counts."""
-    found = validation(*_unseen(fits, result))
-    return found if fits.weights is None else found.weighted(fits.weights)
 
 
 def _unseen(fits: Fits, result: FitResult) -> tuple[list[np.ndarray], float, Sequence[str]]:
@@ -430,7 +434,33 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     if fold is None:
         return leave_one_out(result, batch, AGAIN)
     if len(set(batch.names)) == batch.rows:
-        return _predicted_records(result, batch, fold)
+        # the same of whole records, by finite steps, which see through stick and slip and play
+        first = _as_measured(result, batch)
+        rippled = autocorrelation(result.residual) > CRITERIA.coloured
+        starts = started_without(result, batch, fold) if rippled else None
+        found: list[np.ndarray] = [np.empty(0)] * batch.rows
+        slopes = slopes_at(result.system, batch, result.engine, result.x0)  # where all these fits begin
+        for k in np.unique(fold):
+            inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
+            others = batch.take(inside)
+            settings = {
+                "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False,
+                "shares": STEPS[:1],
+            }  # fmt: skip
+            # where errors are noise, the slopes of all records lead to the others' minimum, too
+            known = {"begin" if rippled else "near": slopes.of_rows(inside.numpy())}
+            again = finite_difference_fit(result.system, others, **known, **settings)
+            if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
+                with suppress(InputError):  # a step may leave an arm no mass matrix
+                    start = result.system.with_values(
+                        dict(zip(result.names, starts[k].tolist(), strict=True))
+                    )
+                    again = finite_difference_fit(start, others, **settings)
+            rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
+            errors = rest.residuals(again.values[None], first[None, outside.numpy()])[0]
+            for row, error in zip(outside.tolist(), errors, strict=True):
+                found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
+        return found
     first = _as_measured(result, batch)
     inside = [np.flatnonzero(fold != k) for k in range(fold.max() + 1)]
     system, free, parts = result.system, result.system.estimated, len(inside)
@@ -456,38 +486,6 @@ def _as_measured(result: FitResult, batch: Batch) -> np.ndarray:
     hidden = [row for joint in result.system.joints for row in joint.hidden_rows(batch.outputs)]
     first[:, hidden] = batch.x[:, 0, hidden]
     return first.numpy()
-
-
-def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> list[np.ndarray]:
-    """The same of whole records, by finite steps, which see through stick and slip and play.
-
-    In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
-    then it starts where the linearised step without the part leads.
-    """
-    first = _as_measured(result, batch)
-    rippled = autocorrelation(result.residual) > CRITERIA.coloured
-    starts = started_without(result, batch, fold) if rippled else None
-    found: list[np.ndarray] = [np.empty(0)] * batch.rows
-    slopes = slopes_at(result.system, batch, result.engine, result.x0)  # where all these fits begin
-    for k in np.unique(fold):
-        inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
-        others = batch.take(inside)
-        settings = {
-            "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False,
-            "shares": STEPS[:1],
-        }  # fmt: skip
-        # where errors are noise, the slopes of all records lead to the others' minimum, too
-        known = {"begin" if rippled else "near": slopes.of_rows(inside.numpy())}
-        again = finite_difference_fit(result.system, others, **known, **settings)
-        if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
-            with suppress(InputError):  # a step may leave an arm no mass matrix
-                start = result.system.with_values(dict(zip(result.names, starts[k].tolist(), strict=True)))
-                again = finite_difference_fit(start, others, **settings)
-        rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
-        errors = rest.residuals(again.values[None], first[None, outside.numpy()])[0]
-        for row, error in zip(outside.tolist(), errors, strict=True):
-            found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
-    return found
 
 
 def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:
@@ -529,25 +527,6 @@ def _both_ways(
             finite_difference_fit(system, batch, engine=how, iterations=iterations, x0=x0, least_gain=SLOW)
         )
     return ends
-
-
-def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitResult:
-    """The fit to windows from the start, or from where a fit over short ones has ended, whichever ends lower.
-
-    Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all. Only
-    the last fit goes on until its hidden first states are those of its own values: earlier ones are cut anew anyway.
-    """
-    ends = [_within(fits.engine, task.system, batch, iterations)]
-    if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
-        with suppress(*FAILURES):
-            short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
-            near = _within(fits.engine, task.system, short, iterations)
-            ends.append(_within(fits.engine, near.system, batch, iterations))
-    end = min(ends, key=lambda end: end.cost)
-    if iterations < FULL:
-        return end
-    records, options = fits.records(task.system), _near(FINER)
-    return settled([end], fits.horizon, records, engine=fits.engine, options=options, warm=False)[0]
 
 
 def _near(iterations: int) -> Options:

@@ -138,7 +138,32 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         structural: share of what the chosen model leaves that has a cause.
         seed: of the bootstrap.
     """
-    models, steps = _ladder(fits, found)
+    # models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect
+    chosen, base = found.chosen, found.base
+    order: dict[Name, SelectionStep] = {}
+    for leading in found.steps:
+        if (
+            leading.leader is not None
+            and (name := added_effect(leading.leader, leading.before)) in chosen.effects
+        ):
+            order.setdefault(name, leading)
+    for name in chosen.effects:
+        order.setdefault(name, SelectionStep(base, (chosen,)))
+    models, names, end = [chosen], list(order), list[Name]()
+    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.judged]
+    while len(names) > 1:
+        rests = [tuple(sorted(set(names) - {name})) for name in names]
+        simpler = [e for e in known if e.effects in rests]
+        if not any(e.effects == rests[-1] for e in simpler):
+            again = refitted_without(fits, base, models[0], names[-1])
+            simpler += [] if again is None else [again]
+        if not simpler:
+            break
+        models.insert(0, min(simpler, key=lambda e: e.error))
+        end.insert(0, added_effect(models[1], models[0]))
+        names.remove(end[0])
+    steps = [order[name] for name in (*names, *end)]
+    models = [base, *models] if chosen.effects else [base]
     first, last = models[0].validation, models[-1].validation
     floor = last.error * (1.0 - structural)
     # no share is more than all, nor where the model predicts worse than nothing
@@ -148,7 +173,29 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     generator = np.random.default_rng(seed)
 
     def drawn(*, records: bool) -> np.ndarray:
-        return _nested(models, steps, structural, first.drawn(generator, records=records))
+        # draws of the shares (draws, n + 1), the remainder last: shares choose among rivals, too; it does not
+        weights = first.drawn(generator, records=records)
+        ends = [one.validation for one in models]
+        rivals = []
+        for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
+            # the step may have compared them beside other effects than the chosen ones: what counts is the
+            # distance to its best
+            shift = after.error / max(step.leader.error, 1e-300) if step.leader is not None else 1.0
+            some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
+            rivals.append((before.validation, some))
+        found = np.zeros((len(weights), len(models)))
+        for draw, weight in zip(found, weights, strict=True):
+
+            def over(one: Validation, weight: np.ndarray = weight) -> float:
+                return float(weight @ one.blocks / (weight @ one.sizes))
+
+            left, explained = structural * over(ends[-1]), over(ends[0]) - over(ends[-1])
+            gap = max(left + explained, left, -explained, 1e-300)
+            for k, (before, some) in enumerate(rivals):
+                draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
+            draw[-1] = left / gap
+        # of records that an effect serves worse than none: no share is more than all
+        return np.clip(found, -1.0, 1.0)
 
     # what a model leaves differs more from record to record than within one: blocks would make shares too sure
     draws, coloured = drawn(records=True), structural > CRITERIA.coloured
@@ -159,7 +206,17 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         for k, (a, b) in enumerate(pairwise(models))
     }
     shares |= {name: (*shares[name][:2], True) for name in found.shown if name in shares}
-    rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
+    measurable = gap > CRITERIA.least_fall * first.error  # shares of next to nothing say nothing
+    alone: dict[Name, float] = {}
+    for step in found.steps:
+        if measurable and not step.before.effects:
+            for e in step.candidates:
+                alone.setdefault(added_effect(e, step.before), first.error * e.fall(step.before) / gap)
+    rated = []
+    for c in _rated_effects(found, structural):
+        name = c.name, c.where
+        share, interval, sure = shares.get(name, (None, None, True))
+        rated.append(replace(c, share=share, share_interval=interval, alone=alone.get(name), sure=sure))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
     interval = _interval(draws[:, -1])
@@ -167,25 +224,6 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     surely = remainder >= CRITERIA.substantial and interval[0] >= explained
     beyond_floor = min(max(1.0 - floor / max(first.error, 1e-300), 0.0), 1.0)
     return Grade(_in_order(rated), remainder, interval, surely and coloured, gap, beyond_floor, coloured)
-
-
-def _with_share(
-    one: RatedEffect, shares: dict[Name, tuple[float, Interval, bool]], found: Selection, gap: float
-) -> RatedEffect:
-    base = found.base.validation.error
-    measurable = gap > CRITERIA.least_fall * base  # shares of next to nothing say nothing
-    alone = next(
-        (
-            base * e.fall(step.before) / gap
-            for step in found.steps
-            if measurable and not step.before.effects
-            for e in step.candidates
-            if added_effect(e, step.before) == (one.name, one.where)
-        ),
-        None,
-    )
-    share, interval, sure = shares.get((one.name, one.where), (None, None, True))
-    return replace(one, share=share, share_interval=interval, alone=alone, sure=sure)
 
 
 def doubtful(found: Grade) -> list[Name]:
@@ -219,7 +257,14 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     remainder, surely, most = (left * r / gap for r in (found.remainder, *found.remainder_interval))
     lacks = found.coloured and left > CRITERIA.coloured and surely >= CRITERIA.substantial
     bare = gap if lacks else max(1.0 - found.remainder, 1e-12)
-    doubt = _of_an_image(found.effects, remainder)
+    # factors on the probabilities of selected effects and what they are tied with, name@where, by what remains
+    doubt: dict[str, float] = {}
+    for candidate in found.effects:
+        if candidate.selected:
+            reach = 1.0 - remainder * max(candidate.together - CRITERIA.least_probability, 0.0) / max(
+                candidate.together, 1e-12
+            )
+            doubt |= dict.fromkeys((f"{candidate.name}@{candidate.where}", *candidate.tied_with), reach)
 
     def rated(c: RatedEffect) -> RatedEffect:
         known = (c.name, c.where) in refuted
@@ -250,83 +295,8 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     )
 
 
-def _of_an_image(effects: Sequence[RatedEffect], remainder: float) -> dict[str, float]:
-    """Factors on the probabilities of selected effects and what they are tied with, ``name@where``, by what remains."""
-    found: dict[str, float] = {}
-    for c in effects:
-        if c.selected:
-            factor = 1.0 - remainder * max(c.together - CRITERIA.least_probability, 0.0) / max(
-                c.together, 1e-12
-            )
-            found |= dict.fromkeys((f"{c.name}@{c.where}", *c.tied_with), factor)
-    return found
-
-
 def _in_order(effects: Iterable[RatedEffect]) -> tuple[RatedEffect, ...]:
     return tuple(sorted(effects, key=lambda one: one.rank))
-
-
-def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[SelectionStep]]:
-    """Models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect.
-
-    Last comes the effect without which the others predict best, as far as they have been fitted: each explains what it
-    can before the smaller ones may, in whatever order they were found.
-    """
-    chosen, base = found.chosen, found.base
-    order: dict[Name, SelectionStep] = {}
-    for step in found.steps:
-        if step.leader is not None and (name := added_effect(step.leader, step.before)) in chosen.effects:
-            order.setdefault(name, step)
-    for name in chosen.effects:
-        order.setdefault(name, SelectionStep(base, (chosen,)))
-    models, names, last = [chosen], list(order), list[Name]()
-    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.judged]
-    while len(names) > 1:
-        rests = [tuple(sorted(set(names) - {name})) for name in names]
-        simpler = [e for e in known if e.effects in rests]
-        if not any(e.effects == rests[-1] for e in simpler):
-            again = refitted_without(fits, base, models[0], names[-1])
-            simpler += [] if again is None else [again]
-        if not simpler:
-            break
-        models.insert(0, min(simpler, key=lambda e: e.error))
-        last.insert(0, added_effect(models[1], models[0]))
-        names.remove(last[0])
-    steps = [order[name] for name in (*names, *last)]
-    return ([base, *models] if chosen.effects else [base]), steps
-
-
-def _nested(
-    models: Sequence[FittedModel], steps: Sequence[SelectionStep], structural: float, weights: np.ndarray
-) -> np.ndarray:
-    """Draws of the shares ``(draws, n + 1)``, the remainder last: shares choose among rivals, too; it does not.
-
-    Args:
-        models: from the nominal one, an effect more each.
-        steps: in which each was found.
-        structural: share of what the last one leaves that has a cause.
-        weights: of the blocks in each draw, ``(draws, blocks)``.
-    """
-    ends = [one.validation for one in models]
-    rivals = []
-    for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
-        # the step may have compared them beside other effects than the chosen ones: their distance to its best counts
-        shift = after.error / max(step.leader.error, 1e-300) if step.leader is not None else 1.0
-        some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
-        rivals.append((before.validation, some))
-    found = np.zeros((len(weights), len(models)))
-    for draw, weight in zip(found, weights, strict=True):
-
-        def over(one: Validation, weight: np.ndarray = weight) -> float:
-            return float(weight @ one.blocks / (weight @ one.sizes))
-
-        left, explained = structural * over(ends[-1]), over(ends[0]) - over(ends[-1])
-        gap = max(left + explained, left, -explained, 1e-300)
-        for k, (before, some) in enumerate(rivals):
-            draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
-        draw[-1] = left / gap
-    # of records that an effect serves worse than none: no share is more than all
-    return np.clip(found, -1.0, 1.0)
 
 
 def _leaders(step: SelectionStep, after: FittedModel) -> list[FittedModel]:
@@ -347,7 +317,25 @@ def last_words(found: Selection) -> dict[Name, tuple[SelectionStep, FittedModel,
         if step.leader is None:
             continue
         names = [added_effect(model, step.before) for model in step.candidates]
-        odds = dict(zip(names, _probabilities(step).tolist(), strict=True))
+        # probability of each candidate: how surely the best predicts better, and how surely each explains anything
+        best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
+        known = chances(step)
+        present = {one: chance_of_presence(one, step.before, p) for one, p in known.items()}
+        passing = [one for one, p in known.items() if passes(one, step.before, p)]
+        sure = present.get(best, 0.0) if step.shown is None else step.shown.probability
+        for k, one in enumerate(step.candidates):
+            if step.odds:
+                logs[k] = step.odds[k]
+            elif one is best:
+                logs[k] = 0.0
+            elif one.judged and one.error < step.before.error and not _contains(one, step):
+                explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
+                logs[k] = log_odds(best, one, step.before) + math.log(explains)
+                # what is not accepted, as one record alone gains by it, say, is no more probable than a best that is
+                if best in passing and one not in passing:
+                    logs[k] = min(logs[k], 0.0)
+        sizes = np.exp(logs - logs.max())
+        odds = dict(zip(names, (sure * sizes / sizes.sum()).tolist(), strict=True))
         for name, model in zip(names, step.candidates, strict=True):
             if name not in said or step.swap or odds[name] > said[name][2][name]:
                 said[name] = step, model, odds
@@ -396,18 +384,13 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
         for c in rated
     ]
     unsure = {"@".join(name) for name in found.unsure}
-    return [
-        _no_surer(c) if not c.selected and unsure & {f"{c.name}@{c.where}", *c.tied_with} else c
-        for c in rated
-    ]
-
-
-def _no_surer(one: RatedEffect) -> RatedEffect:
-    """The same with all that it is tied with no more probable together than what is asserted has to be."""
-    probability = min(one.probability, CRITERIA.least_probability)
-    return replace(
-        one, probability=probability, others=min(one.others, CRITERIA.least_probability - probability)
-    )
+    for k, c in enumerate(rated):
+        if not c.selected and unsure & {f"{c.name}@{c.where}", *c.tied_with}:
+            # with all that it is tied with no more probable together than what is asserted has to be
+            most = CRITERIA.least_probability
+            probability = min(c.probability, most)
+            rated[k] = replace(c, probability=probability, others=min(c.others, most - probability))
+    return rated
 
 
 def _beside(found: Selection) -> dict[Name, float]:
@@ -426,30 +409,6 @@ def _beside(found: Selection) -> dict[Name, float]:
     rate, power = CRITERIA.base_rate, -0.5 * CRITERIA.left_worth
     odds = {name: rate / (1.0 - rate) * max(left, 1e-6) ** power for name, left in falls.items()}
     return {name: min(o / (1.0 + o), CRITERIA.least_probability) for name, o in odds.items()}
-
-
-def _probabilities(step: SelectionStep) -> np.ndarray:
-    """Probability of each candidate: how surely the best predicts better, and how surely each explains anything.
-
-    What is not accepted, as one record alone gains by it, say, is no more probable than a best that is.
-    """
-    best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
-    known = chances(step)
-    present = {one: chance_of_presence(one, step.before, p) for one, p in known.items()}
-    passing = [one for one, p in known.items() if passes(one, step.before, p)]
-    sure = present.get(best, 0.0) if step.shown is None else step.shown.probability
-    for k, one in enumerate(step.candidates):
-        if step.odds:
-            logs[k] = step.odds[k]
-        elif one is best:
-            logs[k] = 0.0
-        elif one.judged and one.error < step.before.error and not _contains(one, step):
-            explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
-            logs[k] = log_odds(best, one, step.before) + math.log(explains)
-            if best in passing and one not in passing:
-                logs[k] = min(logs[k], 0.0)
-    odds = np.exp(logs - logs.max())
-    return sure * odds / odds.sum()
 
 
 def chance_of_presence(one: FittedModel, before: FittedModel, p: float) -> float:

@@ -81,7 +81,15 @@ def locate(fits: Fits, model: FittedModel) -> list[Location]:
             opened = respond(model.system, model.result.engine, batch, joint.number, side)
             for signal, waves, axis in signals(opened):
                 share, coefficients = opened.explained(waves)
-                grid, torque = _profile(axis, coefficients)
+                if axis is None:
+                    grid, torque = np.empty(0), np.empty(0)
+                else:
+                    low, high, count = axis
+                    grid = np.linspace(low, high, 41)
+                    shape = bumps(torch.tensor(grid), count, low, high).numpy()
+                    torque = shape @ coefficients[:count]
+                    if len(coefficients) > count:  # the dry part of the speed's family
+                        torque = torque + coefficients[count] * np.sign(grid)
                 where = "joint" if joint.rigid else side
                 found.append(Location(joint.name, where, signal, share, grid, torque))
     return sorted(found, key=lambda one: -one.share)
@@ -106,7 +114,11 @@ def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float,
         u = opened.batch.u[name]
         most = float(u[valid].abs().max())
         yield "command", bumps(u, COMMANDS, -most, most), (-most, most, COMMANDS)
-        yield "command rate", torch.stack([u - _late(u, k) for k in (1, 2, 4, 8)], -1), None
+        yield (
+            "command rate",
+            torch.stack([u - torch.cat([u[:, :1].expand(-1, k), u[:, :-k]], 1) for k in (1, 2, 4, 8)], -1),
+            None,
+        )
         yield (
             "command, opposite to the velocity",
             torch.stack([u.abs() * sign, u * sign * sign, u * u.abs()], -1),
@@ -115,19 +127,7 @@ def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float,
         if opened.side == "motor":
             turn = q[..., None] * torch.tensor(TURNS, dtype=q.dtype)
             yield "command over the turn", u[..., None] * torch.cat([turn.cos(), turn.sin()], -1), None
-    yield HISTORY, _remembered(opened, v, sign), None
-    time = torch.cumsum(opened.batch.dt, 1)
-    wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
-    yield "time, opposite to the velocity", wear, None
-    yield "a resonance", _swinging(opened, v), None
-
-
-def _late(signal: Tensor, samples: int) -> Tensor:
-    return torch.cat([signal[:, :1].expand(-1, samples), signal[:, :-samples]], 1)
-
-
-def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
-    """Direction and speed less what they were on average of late."""
+    # direction and speed less what they were on average of late
     step = opened.batch.sample_time
     found = []
     for constant in MEMORY:
@@ -135,34 +135,20 @@ def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
         for signal in (sign, v):
             slow = lfilter([1 - keep], [1, -keep], signal.numpy(), axis=1)
             found.append(signal - torch.tensor(slow))
-    return torch.stack(found, -1)
-
-
-def _swinging(opened: Response, v: Tensor) -> Tensor:
-    """What masses on springs would pull, which the motion shakes: deflection and rate of each, of unit size."""
-    step = opened.batch.sample_time
-    acceleration, found = np.gradient(v.numpy(), step, axis=1), []
+    yield HISTORY, torch.stack(found, -1), None
+    time = torch.cumsum(opened.batch.dt, 1)
+    wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
+    yield "time, opposite to the velocity", wear, None
+    # what masses on springs would pull, which the motion shakes: deflection and rate of each, of unit size
+    width = opened.batch.sample_time
+    acceleration, wave = np.gradient(v.numpy(), width, axis=1), []
     for frequency in SWINGS:
         w = 2.0 * np.pi * frequency
         for numerator in ([w * w], [w, 0.0]):
-            b, a = bilinear(numerator, [1.0, 2.0 * DAMPING * w, w * w], 1.0 / step)
+            b, a = bilinear(numerator, [1.0, 2.0 * DAMPING * w, w * w], 1.0 / width)
             swing = np.asarray(lfilter(b, a, acceleration, axis=1))
-            found.append(torch.tensor(swing / max(float(np.std(swing)), 1e-300)))
-    return torch.stack(found, -1)
-
-
-def _profile(
-    axis: tuple[float, float, int] | None, coefficients: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    if axis is None:
-        return np.empty(0), np.empty(0)
-    low, high, count = axis
-    grid = np.linspace(low, high, 41)
-    shape = bumps(torch.tensor(grid), count, low, high).numpy()
-    torque = shape @ coefficients[:count]
-    if len(coefficients) > count:  # the dry part of the speed's family
-        torque = torque + coefficients[count] * np.sign(grid)
-    return grid, torque
+            wave.append(torch.tensor(swing / max(float(np.std(swing)), 1e-300)))
+    yield "a resonance", torch.stack(wave, -1), None
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,17 @@ def mean_after_reversals(
     edges = np.linspace(0.0, LONGEST, BINS + 1)
     traces = []
     for time, speed, error in rows:
-        for first, end, way in _strokes(speed, STILL * top):
+        # stretches between reversals: a direction counts once the speed leaves what counts as still, and then from
+        # where it last was zero; what comes before the first reversal of a record is left out
+        moving = np.flatnonzero(np.abs(speed) > STILL * top)
+        turned = np.flatnonzero(np.diff(np.sign(speed[moving])))
+        turns, firsts = moving[1:][turned], []
+        for before, turn in zip(moving[turned], turns, strict=True):
+            against = np.flatnonzero(speed[before:turn] * speed[turn] <= 0.0)
+            firsts.append(int(before + against[-1]) + 1)
+        ends = [*firsts[1:], len(speed)]
+        for first, end, turn in zip(firsts, ends, turns, strict=False):
+            way = float(np.sign(speed[turn]))
             since = time[first:end] - time[first]
             part = np.minimum(np.searchsorted(edges, since + 1e-9, side="right") - 1, BINS)
             number = np.bincount(part, minlength=BINS + 1)[:BINS]
@@ -165,19 +175,3 @@ def mean_after_reversals(
         output, len(traces), 0.5 * (edges[1:] + edges[:-1]), np.where(lasting, mean, np.nan),
         np.where(lasting, spread / np.sqrt(np.maximum(number, 1)), np.nan),
     )  # fmt: skip
-
-
-def _strokes(speed: np.ndarray, still: float) -> list[tuple[int, int, float]]:
-    """Stretches between reversals: first sample of the new direction, one past the last, and the direction.
-
-    A direction counts once the speed leaves ``still``, and then from where it last was zero. What comes before the
-    first reversal of a record is left out.
-    """
-    moving = np.flatnonzero(np.abs(speed) > still)
-    turned = np.flatnonzero(np.diff(np.sign(speed[moving])))
-    turns, firsts = moving[1:][turned], []
-    for before, turn in zip(moving[turned], turns, strict=True):
-        against = np.flatnonzero(speed[before:turn] * speed[turn] <= 0.0)
-        firsts.append(int(before + against[-1]) + 1)
-    ends = [*firsts[1:], len(speed)]
-    return [(a, b, float(np.sign(speed[t]))) for a, b, t in zip(firsts, ends, turns, strict=False)]

@@ -148,7 +148,8 @@ def next_experiment(
         return []
     groups = np.repeat(np.arange(len(tied)), [len(group) for group in tied])
     pairs = [(a, b) for a, b in combinations(range(len(models)), 2) if groups[a] == groups[b]]
-    noise, offers, every = _noise(dataset), list[Experiment](), list[dict[Pair, _Differences]]()
+    noise = {name: std or 1.0 for name, std in sensor_noise(dataset).items()}
+    offers, every = list[Experiment](), list[dict[Pair, _Differences]]()
     for joint in models[0].system.joints:
         here = _offered(dataset, models[0].system, joint)
         if here is not None:
@@ -159,9 +160,39 @@ def next_experiment(
     if not offers:
         return []
     names = [name for group in tied for name in _names(group)]
-    return _chosen(
-        offers, {p: _joined([one[p] for one in every]) for p in every[0]}, pairs, models, names, thinned
-    )
+    # the records in the order in which they add most, each with what it and those before it distinguish
+    columns = [field.name for field in fields(_Differences)]
+    found = {
+        p: _Differences(*(np.concatenate([getattr(one[p], name) for one in every]) for name in columns))
+        for p in every[0]
+    }
+    leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
+    known = [thinned * _information(one) for one in models]
+
+    def distances(rows: Sequence[int], *, outputs: bool = False) -> np.ndarray:
+        """Of each pair, by the one of both that follows the other better."""
+        squares = [
+            min(found[one].after(rows, known[one[1]], outputs=outputs) for one in ((a, b), (b, a)))
+            for a, b in pairs
+        ]
+        return np.sqrt(np.array(squares) / leaves)
+
+    def worth(rows: Sequence[int]) -> float:
+        # a pair that is distinguished already adds little: the others' turn
+        return float(np.log1p(len(rows) * np.square(distances(rows))).sum())
+
+    rows, result = list[int](), list[Experiment]()
+    usable = np.flatnonzero(np.all([one.finite for one in found.values()], axis=0)).tolist()
+    able = [k for k in usable if distances([k], outputs=True).max() >= DISTINGUISHABLE]
+    able = able or usable  # a record that shows nothing by itself is no witness
+    while len(rows) < min(RECORDS, len(able)):
+        rows.append(max((k for k in able if k not in rows), key=lambda k: worth([*rows, k])))
+        apart = distances(rows, outputs=True)
+        clear = apart >= DISTINGUISHABLE
+        shown = clear if clear.any() else apart == apart.max()
+        alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
+        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), undistinguished=alike))
+    return result
 
 
 # ---- what is offered ----
@@ -213,10 +244,38 @@ def _offered(dataset: Dataset, system: System, joint: Joint) -> _Offer | None:
     )
     if logged is None:
         return None
-    loop = _loop(dataset, system, joint, logged)
+    # that of a robot's joint which its records command in torque, of at most the torque that they have seen
+    if system.tree is None or stem(logged) != "tau":
+        loop = None
+    else:
+        rotor = sum(
+            info.spec.value
+            for info in system.table
+            if info.component.startswith(f"{joint.name}/") and info.spec.unit == "kg m^2"
+        )
+        inertia = (
+            system.tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
+        )
+        rate = 2.0 * np.pi * LOOP
+        most = joint.gear_ratio * max(float(np.abs(record.inputs[logged]).max()) for record in dataset.train)
+        loop = _Loop(inertia * rate**2, 2.0 * DAMPING * inertia * rate, most)
     channel = logged if loop is None else f"goal{joint.number}"
     time = np.arange(0.0, DURATION, reference.sample_time)
-    centre, amplitude = _room(dataset, joint, channel)
+    # centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached
+    if channel in dataset.train[0].inputs:
+        values = np.concatenate([record.inputs[channel] for record in dataset.train])
+    else:  # the goals were not logged: where the joint has been
+        link, motor = f"q_a{joint.number}", f"q_m{joint.number}"
+        values = np.concatenate(
+            [
+                r.outputs[link] if link in r.outputs else r.outputs[motor] / joint.gear_ratio
+                for r in dataset.train
+            ]
+        )
+    if stem(channel) in DRIVES:
+        centre, amplitude = 0.0, float(np.abs(values).max())
+    else:
+        centre, amplitude = float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
     start = {name: float(values[0]) for name, values in reference.outputs.items()}
     if stem(channel) == "goal" and system.tree is not None:  # to where its goals begin it is moved before
         here = {f"q_a{joint.number}": centre, f"q_m{joint.number}": centre * joint.gear_ratio}
@@ -239,21 +298,6 @@ def _offered(dataset: Dataset, system: System, joint: Joint) -> _Offer | None:
                 )
             )
     return _Offer(joint, tuple(found), loop, logged)
-
-
-def _loop(dataset: Dataset, system: System, joint: Joint, channel: str) -> _Loop | None:
-    """That of a robot's joint which its records command in torque, of at most the torque that they have seen."""
-    if system.tree is None or stem(channel) != "tau":
-        return None
-    rotor = sum(
-        info.spec.value
-        for info in system.table
-        if info.component.startswith(f"{joint.name}/") and info.spec.unit == "kg m^2"
-    )
-    inertia = system.tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
-    rate = 2.0 * np.pi * LOOP
-    most = joint.gear_ratio * max(float(np.abs(record.inputs[channel]).max()) for record in dataset.train)
-    return _Loop(inertia * rate**2, 2.0 * DAMPING * inertia * rate, most)
 
 
 # ---- what each model does under it, and how far the others can follow ----
@@ -328,11 +372,6 @@ class _Differences:
         )
 
 
-def _joined(parts: Sequence[_Differences]) -> _Differences:
-    """Those of several joints' records, one after the other."""
-    return _Differences(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Differences)))
-
-
 def _differences(
     models: Sequence[FittedModel],
     pairs: Sequence[Pair],
@@ -349,7 +388,22 @@ def _differences(
         for b, other in enumerate(models):
             if (a, b) in pairs or (b, a) in pairs:
                 batch = replace(_pieces(other, records, noise, horizon, signal_share), y=truth)
-                found[a, b] = _left_by(other, batch, [one.name for one in records])
+                # what the other leaves of these outputs, its start states moved within their uncertainty
+                system, free, titles = other.system, other.system.estimated, [one.name for one in records]
+                engine = with_substeps(system, other.result.engine, batch)
+                theta = system.theta().detach()[:, None].expand(-1, batch.rows)
+                at = evaluate(
+                    system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1]
+                )
+                record = torch.tensor([titles.index(name) for name in batch.names])
+                free_starts = torch.zeros(batch.rows, dtype=theta.dtype)
+                held = torch.zeros_like(batch.x0_std)
+                hessian, gradient, gain, _ = reduced(at, record, len(titles), free_starts, held)
+                cost, count = gain.new_zeros(2, len(titles))
+                cost.index_add_(0, record, at.cost)
+                count.index_add_(0, record, (batch.weight > 0).sum((1, 2)).to(count.dtype))
+                parts = 2.0 * (cost - gain), gradient, hessian, count
+                found[a, b] = _Differences(*(part.numpy() for part in parts))
     return found
 
 
@@ -365,87 +419,13 @@ def _pieces(
     return horizon.cut(model.system, model.result.engine, batch)
 
 
-def _left_by(model: FittedModel, batch: Batch, records: Sequence[str]) -> _Differences:
-    """What a model leaves of a batch's outputs, its start states moved within their uncertainty."""
-    system, free = model.system, model.system.estimated
-    engine = with_substeps(system, model.result.engine, batch)
-    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
-    at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
-    record = torch.tensor([records.index(name) for name in batch.names])
-    free_starts = torch.zeros(batch.rows, dtype=theta.dtype)
-    hessian, gradient, gain, _ = reduced(
-        at, record, len(records), free_starts, torch.zeros_like(batch.x0_std)
-    )
-    cost, count = gain.new_zeros(2, len(records))
-    cost.index_add_(0, record, at.cost)
-    count.index_add_(0, record, (batch.weight > 0).sum((1, 2)).to(count.dtype))
-    return _Differences(*(part.numpy() for part in (2.0 * (cost - gain), gradient, hessian, count)))
-
-
 # ---- which of them together ----
-
-
-def _chosen(
-    offers: Sequence[Experiment],
-    found: Mapping[Pair, _Differences],
-    pairs: Sequence[Pair],
-    models: Sequence[FittedModel],
-    names: Sequence[str],
-    thinned: float,
-) -> list[Experiment]:
-    """The records in the order in which they add most, each with what it and those before it distinguish."""
-    leaves = np.array([max(1.0, min(models[a].trained, models[b].trained)) for a, b in pairs])
-    known = [thinned * _information(one) for one in models]
-
-    def distances(rows: Sequence[int], *, outputs: bool = False) -> np.ndarray:
-        """Of each pair, by the one of both that follows the other better."""
-        squares = [
-            min(found[one].after(rows, known[one[1]], outputs=outputs) for one in ((a, b), (b, a)))
-            for a, b in pairs
-        ]
-        return np.sqrt(np.array(squares) / leaves)
-
-    def worth(rows: Sequence[int]) -> float:
-        # a pair that is distinguished already adds little: the others' turn
-        return float(np.log1p(len(rows) * np.square(distances(rows))).sum())
-
-    rows, result = list[int](), list[Experiment]()
-    usable = np.flatnonzero(np.all([one.finite for one in found.values()], axis=0)).tolist()
-    able = [k for k in usable if distances([k], outputs=True).max() >= DISTINGUISHABLE]
-    able = able or usable  # a record that shows nothing by itself is no witness
-    while len(rows) < min(RECORDS, len(able)):
-        rows.append(max((k for k in able if k not in rows), key=lambda k: worth([*rows, k])))
-        apart = distances(rows, outputs=True)
-        clear = apart >= DISTINGUISHABLE
-        shown = clear if clear.any() else apart == apart.max()
-        alike = tuple((names[a], names[b]) for (a, b), one in zip(pairs, clear, strict=True) if not one)
-        result.append(replace(offers[rows[-1]], distance=float(apart[shown].min()), undistinguished=alike))
-    return result
 
 
 def _information(model: FittedModel) -> np.ndarray:
     """What the records at hand say of a model's parameters, its priors with it, ``(n_f, n_f)``."""
     parts = [part.reshape(-1, part.shape[-1]) for part in model.result.jacobian]
     return sum((part.T @ part for part in parts), np.diag(model.result.prior_precision))
-
-
-def _noise(dataset: Dataset) -> dict[str, float]:
-    """Noise of each output; 1 where no record shows any."""
-    return {name: std or 1.0 for name, std in sensor_noise(dataset).items()}
-
-
-def _room(dataset: Dataset, joint: Joint, name: str) -> tuple[float, float]:
-    """Centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached."""
-    if name in dataset.train[0].inputs:
-        values = np.concatenate([record.inputs[name] for record in dataset.train])
-    else:  # the goals were not logged: where the joint has been
-        link, motor = f"q_a{joint.number}", f"q_m{joint.number}"
-        values = np.concatenate([
-            r.outputs[link] if link in r.outputs else r.outputs[motor] / joint.gear_ratio for r in dataset.train
-        ])  # fmt: skip
-    if stem(name) in DRIVES:
-        return 0.0, float(np.abs(values).max())
-    return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
 
 
 def _names(models: Sequence[FittedModel]) -> list[str]:

@@ -253,33 +253,22 @@ def _ranked(
         if beside is not None:
             other, twin = beside
             moved = moved + other.chained(torch.cat([twin(i, other) for i in some], -1))
-        found.append(_gains(left, basis, moved.flatten(0, 1).numpy(), len(some)))
+        # by how much each of some shapes lessens the squares of what is left, and its coefficients: (k,), (k, m)
+        columns = moved.flatten(0, 1).numpy()
+        shapes = len(some)
+        each = shapes, columns.shape[1] // shapes
+        slopes, inside = (left @ columns).reshape(each), (basis.T @ columns).reshape(-1, *each)
+        columns = columns.reshape(-1, *each)
+        squares = np.empty((*each, each[1]))
+        for i, j in np.ndindex(squares.shape[1:]):
+            squares[:, i, j] = np.einsum("nk,nk->k", columns[..., i], columns[..., j])
+        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(squares, axis1=1, axis2=2), 1e-300))
+        squares -= np.einsum("pki,pkj->kij", inside, inside)
+        # what the model's own parameters do as well leaves rounding alone, and explains nothing
+        share, axes = np.linalg.eigh(squares * unit[:, :, None] * unit[:, None])
+        along = np.einsum("kij,ki->kj", axes, slopes * unit)
+        along = np.where(share > ROUNDING, along / np.maximum(share, ROUNDING), 0.0)
+        amplitude = np.einsum("kij,kj->ki", axes, along) * unit
+        found.append(((slopes * amplitude).sum(1), amplitude))
     gain, size = (np.concatenate(part) for part in zip(*found, strict=True))
     return [(numbers[k], tuple(size[k].tolist())) for k in np.argsort(-gain, kind="stable")]
-
-
-def _gains(
-    left: np.ndarray, basis: np.ndarray, columns: np.ndarray, shapes: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """By how much each of some shapes lessens the squares of what is left, and its coefficients: ``(k,)``, ``(k, m)``.
-
-    Args:
-        left: residuals beside the model's own parameters, ``(n,)``.
-        basis: orthonormal, of what these can do, ``(n, n_f)``.
-        columns: of all shapes side by side, ``(n, k m)``.
-        shapes: how many, k.
-    """
-    each = shapes, columns.shape[1] // shapes
-    slopes, inside = (left @ columns).reshape(each), (basis.T @ columns).reshape(-1, *each)
-    columns = columns.reshape(-1, *each)
-    squares = np.empty((*each, each[1]))
-    for i, j in np.ndindex(squares.shape[1:]):
-        squares[:, i, j] = np.einsum("nk,nk->k", columns[..., i], columns[..., j])
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(squares, axis1=1, axis2=2), 1e-300))
-    squares -= np.einsum("pki,pkj->kij", inside, inside)
-    # what the model's own parameters do as well leaves rounding alone, and explains nothing
-    share, axes = np.linalg.eigh(squares * unit[:, :, None] * unit[:, None])
-    along = np.einsum("kij,ki->kj", axes, slopes * unit)
-    along = np.where(share > ROUNDING, along / np.maximum(share, ROUNDING), 0.0)
-    size = np.einsum("kij,kj->ki", axes, along) * unit
-    return (slopes * size).sum(1), size

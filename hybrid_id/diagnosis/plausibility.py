@@ -193,11 +193,11 @@ def not_identifiable(dataset: Dataset, system: System) -> tuple[str, ...]:
     if held:
         freed = system.with_specs({i.name: replace(i.spec, estimate=True) for i in held})
         for one in check_identifiability(dataset, freed).directions:
-            claims = [f"{i.name} at {i.spec.value:.4g} {i.unit}" for i in held if _is_named(one.text, i.name)]
+            claims = [
+                f"{i.name} at {i.spec.value:.4g} {i.unit}"
+                for i in held
+                if i.name in one.text.replace(",", " ").split()
+            ]
             if claims:
                 words.append(f"{one.text}; only the claim of {' and '.join(claims)} sets it")
     return tuple(words)
-
-
-def _is_named(text: str, name: str) -> bool:
-    return name in text.replace(",", " ").split()

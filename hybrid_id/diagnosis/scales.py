@@ -63,6 +63,12 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
     shown = {f"i{joint.number}", f"tau{joint.number}"} & set(batch.outputs)
     link, moving = q / joint.gear_ratio, _at_work(v)
     fast = float(moving.abs().quantile(0.95)) if moving.numel() < 2**24 else float(v.abs().max())
+    tree = system.tree
+    # bodies with a mass that a joint of a robot carries, outermost first
+    bodies = () if tree is None else tree.bodies
+    carried = [
+        one for one in bodies if one.inertia.mass and tree and tree.carries(joint.number - 1, one.joint)
+    ]
     return Scales(
         joint=joint.number,
         ratio=joint.gear_ratio,
@@ -79,7 +85,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         inertia=total,
         rotor=rotor,
         measured=tuple(n.removesuffix(own) for n in batch.outputs if number_of(n) == own),
-        bodies=_carried(system, joint),
+        bodies=tuple(body.name for body in sorted(carried, key=lambda body: -body.joint)),
         tip=_tip(system, joint, batch),
         shows_torque=bool(shown) or (off is not None and bool((off < 1.0).any())),
     )
@@ -93,15 +99,6 @@ def _at_work(signal: Tensor) -> Tensor:
 
 def _rms(signal: Tensor) -> float:
     return float(_at_work(signal).square().mean().sqrt())
-
-
-def _carried(system: System, joint: Joint) -> tuple[str, ...]:
-    """Bodies with a mass that a joint of a robot carries, outermost first."""
-    tree = system.tree
-    if tree is None:
-        return ()
-    found = [body for body in tree.bodies if body.inertia.mass and tree.carries(joint.number - 1, body.joint)]
-    return tuple(body.name for body in sorted(found, key=lambda body: -body.joint))
 
 
 def _tip(system: System, joint: Joint, batch: Batch) -> Tip | None:

@@ -99,9 +99,41 @@ def selection_step(
         if progress is not None:
             progress(stage, min(count[0], total), total)
 
-    screened = screen(fits, nominal, before, near, tick)
-    finished = fit_finalists(fits, nominal, before, screened, tick)
-    ends = best_of_each(finished, key=effects_of, order=by_prediction)
+    ranked = screen(fits, nominal, before, near, tick)
+    # stage fit: the best candidates to the end, then judged by re-fits without the records that judge them
+    # a first round for all finalists; each later one fits to the end who leads now, where that is another one
+    for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
+        chosen = best_of_each(ranked, key=effects_of)[:keep]
+        ranked = _further(
+            fits, nominal, before, [one for one in chosen if not one.judged], ranked, FULL, tick
+        )
+    if ranked and promising(ranked[0], before):
+        # the leading effect from its other initial values, its special cases, and simpler candidates, all to the end
+        if not ranked[0].white:
+            own = [one for one in ranked if one.effects == ranked[0].effects and not one.judged]
+            ranked = _further(fits, nominal, before, own[:FINALISTS], ranked, FULL, tick)
+            # along the ripples of a torque over the angle each further fit comes a little further
+            for _ in range(FINALISTS):
+                if ranked[0].white or not over_angle(ranked[0].effects):
+                    break
+                again = fits.run([Task(ranked[0].effects, ranked[0].system, x0=ranked[0].result.x0)], FULL)[0]
+                if again is None or again.trained > (1.0 - SAME) * ranked[0].trained:
+                    break
+                gained = 1.0 - again.trained / ranked[0].trained
+                ranked = best_of_each([again, *ranked], 2)
+                if gained < FURTHER:
+                    break
+        special = fits.run(special_cases(fits, before, ranked[0]), FULL)
+        ranked = best_of_each([*ranked, *(e for e in special if e is not None)], 2)
+        simpler = [
+            e
+            for e in ranked
+            if not e.judged
+            and e.trained < ranked[0].trained / (1.0 - CRITERIA.distinct_fall)
+            and len(e.result.names) < len(ranked[0].result.names)
+        ]
+        ranked = _further(fits, nominal, before, simpler[:FINALISTS], ranked, FULL, tick)
+    ends = best_of_each(ranked, key=effects_of, order=by_prediction)
     return SelectionStep(before, tuple(simplest_first(ends, before)))
 
 
@@ -127,33 +159,6 @@ def screen(
         if wave and not hidden_links(ranked[0].system, fits.records(before.system)):
             far += [task for task in near if task.effects == ranked[0].effects]
         ranked = best_of_each([*ranked, *_from_afar(fits, nominal, before, ranked, far, tick)], 2)
-    return ranked
-
-
-def fit_finalists(
-    fits: Fits,
-    nominal: System,
-    before: FittedModel,
-    ranked: list[FittedModel],
-    tick: Callable[[], object],
-) -> list[FittedModel]:
-    """Stage fit: the best candidates fitted to the end and then judged, by re-fits without the records that judge them.
-
-    Args:
-        fits: fits models to the train records.
-        nominal: the nominal system.
-        before: the model that the effects are added to.
-        ranked: the candidates as they were screened.
-        tick: called after each fit.
-    """
-    # a first round for all finalists; each later one fits to the end who leads now, where that is another one
-    for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
-        chosen = best_of_each(ranked, key=effects_of)[:keep]
-        ranked = _further(
-            fits, nominal, before, [one for one in chosen if not one.judged], ranked, FULL, tick
-        )
-    if ranked and promising(ranked[0], before):
-        ranked = _polished(fits, nominal, before, ranked, tick)
     return ranked
 
 
@@ -379,36 +384,6 @@ def better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None])
         if not first.judged or (less and end.ahead_of(first) >= CRITERIA.distinct_z):
             found[one] = end
     return list(found.values())
-
-
-def _polished(
-    fits: Fits, nominal: System, before: FittedModel, ranked: list[FittedModel], tick: Callable[[], object]
-) -> list[FittedModel]:
-    """The leading effect from its other initial values, its special cases, and simpler candidates, all to the end."""
-    if not ranked[0].white:
-        own = [one for one in ranked if one.effects == ranked[0].effects and not one.judged]
-        ranked = _further(fits, nominal, before, own[:FINALISTS], ranked, FULL, tick)
-        # along the ripples of a torque over the angle each further fit comes a little further
-        for _ in range(FINALISTS):
-            if ranked[0].white or not over_angle(ranked[0].effects):
-                break
-            again = fits.run([Task(ranked[0].effects, ranked[0].system, x0=ranked[0].result.x0)], FULL)[0]
-            if again is None or again.trained > (1.0 - SAME) * ranked[0].trained:
-                break
-            gained = 1.0 - again.trained / ranked[0].trained
-            ranked = best_of_each([again, *ranked], 2)
-            if gained < FURTHER:
-                break
-    special = fits.run(special_cases(fits, before, ranked[0]), FULL)
-    ranked = best_of_each([*ranked, *(e for e in special if e is not None)], 2)
-    simpler = [
-        e
-        for e in ranked
-        if not e.judged
-        and e.trained < ranked[0].trained / (1.0 - CRITERIA.distinct_fall)
-        and len(e.result.names) < len(ranked[0].result.names)
-    ]
-    return _further(fits, nominal, before, simpler[:FINALISTS], ranked, FULL, tick)
 
 
 def effects_of(one: FittedModel) -> tuple[Name, ...]:

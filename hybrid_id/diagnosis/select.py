@@ -113,7 +113,83 @@ def select(
     """
     so_far = _SoFar(base, start or base, [])
     try:
-        _search(fits, so_far, nominal, first, max_effects, progress)
+        # the search of :func:`select`; so_far takes each step and each model as soon as it is there
+        steps, restarted = so_far.steps, False
+        while (
+            len(so_far.model.effects) < max_effects
+            and sum(not one.swap for one in steps) < MAX_STEPS
+            and leaves_something(so_far.model)
+        ):
+            model = so_far.model
+            step = first or selection_step(
+                fits, model, nominal, among=_alive(steps, model), progress=progress
+            )
+            first = None
+            step = so_far.asked = _accepted_first(step)
+            steps.append(step)
+            best, swaps = step.leader, list[SelectionStep]()
+            if best is not None and model.effects and promising(best, model):
+                # each earlier effect against those that explained as much as it did when it stood alone, now beside the
+                # others
+                swaps = []
+                for one in steps:
+                    name = None if one.swap or one.leader is None else added_effect(one.leader, one.before)
+                    if name not in best.effects or one.leader is None or one.leader.effects == best.effects:
+                        continue
+                    rest = without(best.system, so_far.base.system, name)
+                    if rest is None:
+                        continue
+                    near = one.leader.error / (1.0 - CRITERIA.distinct_fall)
+                    rivals = [e for e in one.candidates[1:] if e.judged and e.error < near][:FINALISTS]
+                    tasks = swapped(rest, tuple(e for e in best.effects if e != name), rivals, one.before)
+                    ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
+                    alone = refitted_without(fits, so_far.base, best, name) if ends else None
+                    if alone is not None:
+                        ranked = sorted((*ends, best), key=lambda e: e.error)
+                        if ranked[0].no_structure:
+                            # of equals the one that was found first leads
+                            better = ranked[0].validation.fall(best.validation) > CRITERIA.least_fall
+                            leading = ranked[0] if better else best
+                        else:
+                            leading = simplest_first(ranked, alone)[0]
+                        swaps.append(
+                            SelectionStep(
+                                alone, (leading, *(e for e in ranked if e is not leading)), swap=True
+                            )
+                        )
+                best = min(
+                    (s.leader for s in swaps if s.leader is not None), key=lambda e: e.error, default=best
+                )
+            if best is None or not accepted(best, model, step.candidates):
+                break
+            # the model that a step has begun with, fitted again from where the best with one more effect has ended
+            if not set(model.effects) < set(best.effects):
+                before = model
+            else:
+                again = refitted_without(fits, so_far.base, best, added_effect(best, model), known=model)
+                before = again if again is not None and again.error < model.error else model
+            so_far.base = so_far.base if before.effects else before
+            steps[:] = [*(_with_fit(one, before) for one in steps[:-1]), replace(step, before=before)]
+            if not accepted(best, before, step.candidates):
+                so_far.model, so_far.asked = before, None
+                if before is model or restarted:
+                    break
+                restarted = True  # the fit before had not found its best: the step is repeated from there
+                so_far.repeated = [steps.pop()]
+                continue
+            steps += swaps
+            so_far.model, so_far.asked = best, None
+            so_far.model = _freed(fits, _with_whole_numbers(fits, best))
+            if before.effects:
+                so_far.model = _necessary(fits, so_far.base, so_far.model, steps)
+                steps[:] = [_with_fit(one, so_far.model) for one in steps]
+                if len(so_far.model.effects) <= len(before.effects) and not (
+                    so_far.model.error < before.error
+                    and bool(so_far.model.effects)
+                    and so_far.model.effects != before.effects
+                ):
+                    break
+        so_far.asked = None
     except KeyboardInterrupt:
         so_far.steps = so_far.steps or so_far.repeated
         if not so_far.steps:
@@ -157,65 +233,6 @@ def stopped_after(step: SelectionStep, base: FittedModel, horizon: Horizon) -> S
     """What a search has found that was stopped after its first step."""
     step = _accepted_first(step)
     return _SoFar(base, base, [step], step).selection(horizon, interrupted=True)
-
-
-def _search(
-    fits: Fits,
-    so_far: _SoFar,
-    nominal: System,
-    first: SelectionStep | None,
-    max_effects: int,
-    progress: Progress | None,
-) -> None:
-    """The search of :func:`select`; ``so_far`` takes each step and each model as soon as it is there."""
-    steps, restarted = so_far.steps, False
-    while (
-        len(so_far.model.effects) < max_effects
-        and sum(not one.swap for one in steps) < MAX_STEPS
-        and leaves_something(so_far.model)
-    ):
-        model = so_far.model
-        step = first or selection_step(fits, model, nominal, among=_alive(steps, model), progress=progress)
-        first = None
-        step = so_far.asked = _accepted_first(step)
-        steps.append(step)
-        best, swaps = step.leader, list[SelectionStep]()
-        if best is not None and model.effects and promising(best, model):
-            swaps = _swaps(fits, so_far.base, best, steps)
-            best = min((s.leader for s in swaps if s.leader is not None), key=lambda e: e.error, default=best)
-        if best is None or not accepted(best, model, step.candidates):
-            break
-        before = _refit_before(fits, so_far.base, best, model)
-        so_far.base = so_far.base if before.effects else before
-        steps[:] = [*(_with_fit(one, before) for one in steps[:-1]), replace(step, before=before)]
-        if not accepted(best, before, step.candidates):
-            so_far.model, so_far.asked = before, None
-            if before is model or restarted:
-                break
-            restarted = True  # the fit before had not found its best: the step is repeated from there
-            so_far.repeated = [steps.pop()]
-            continue
-        steps += swaps
-        so_far.model, so_far.asked = best, None
-        so_far.model = _freed(fits, _with_whole_numbers(fits, best))
-        if before.effects:
-            so_far.model = _necessary(fits, so_far.base, so_far.model, steps)
-            steps[:] = [_with_fit(one, so_far.model) for one in steps]
-            if len(so_far.model.effects) <= len(before.effects) and not _better_set(so_far.model, before):
-                break
-    so_far.asked = None
-
-
-def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: FittedModel) -> FittedModel:
-    """The model that a step has begun with, fitted again from where the best with one more effect has ended.
-
-    As it was where that predicts no better, or the best has other effects: a new effect may only have freed the fit of
-    the others, and would be accepted for it.
-    """
-    if not set(model.effects) < set(best.effects):
-        return model
-    again = refitted_without(fits, base, best, added_effect(best, model), known=model)
-    return again if again is not None and again.error < model.error else model
 
 
 def _accepted_first(step: SelectionStep) -> SelectionStep:
@@ -305,35 +322,6 @@ def refitted_without(
     return known if end is None or not end.judged else end
 
 
-def _swaps(
-    fits: Fits, base: FittedModel, chosen: FittedModel, steps: Sequence[SelectionStep]
-) -> list[SelectionStep]:
-    """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
-    found = []
-    for one in steps:
-        name = None if one.swap or one.leader is None else added_effect(one.leader, one.before)
-        if name not in chosen.effects or one.leader is None or one.leader.effects == chosen.effects:
-            continue
-        rest = without(chosen.system, base.system, name)
-        if rest is None:
-            continue
-        near = one.leader.error / (1.0 - CRITERIA.distinct_fall)
-        rivals = [e for e in one.candidates[1:] if e.judged and e.error < near][:FINALISTS]
-        tasks = swapped(rest, tuple(e for e in chosen.effects if e != name), rivals, one.before)
-        ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
-        alone = refitted_without(fits, base, chosen, name) if ends else None
-        if alone is not None:
-            ranked = sorted((*ends, chosen), key=lambda e: e.error)
-            if ranked[0].no_structure:
-                # of equals the one that was found first leads
-                better = ranked[0].validation.fall(chosen.validation) > CRITERIA.least_fall
-                first = ranked[0] if better else chosen
-            else:
-                first = simplest_first(ranked, alone)[0]
-            found.append(SelectionStep(alone, (first, *(e for e in ranked if e is not first)), swap=True))
-    return found
-
-
 def _freed(fits: Fits, chosen: FittedModel) -> FittedModel:
     """The model with what an effect's law leaves open freed too, where that predicts clearly better.
 
@@ -390,11 +378,6 @@ def _with_fit(step: SelectionStep, model: FittedModel) -> SelectionStep:
         return step
     ends = sorted((model if e is known else e for e in step.candidates), key=by_prediction)
     return _accepted_first(replace(step, candidates=tuple(simplest_first(ends, step.before))))
-
-
-def _better_set(model: FittedModel, before: FittedModel) -> bool:
-    """Whether other effects than before predict better than those did."""
-    return model.error < before.error and bool(model.effects) and model.effects != before.effects
 
 
 def leaves_something(model: FittedModel) -> bool:

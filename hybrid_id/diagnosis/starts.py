@@ -136,14 +136,13 @@ def without(system: System, base: System, name: Name) -> System | None:
         here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
         old = next((p for p in here if isinstance(p, family)), None)
         rest = system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
-        return _joined(rest, base, name[1][:6])
+        # the system with the rotor's share of a joint as it was, where no effect is left that identifies it
+        joint = name[1][:6]
+        share = rotor_share(rest, joint)
+        new = [
+            c for k, c in rest.components.items() if k.startswith(f"{joint}/") and k not in base.components
+        ]
+        if share is None or any(isinstance(part, Component) and part.splits_inertia for part in new):
+            return rest
+        return rest.with_specs({share.name: base.parameter(share.name).spec})
     return None
-
-
-def _joined(system: System, base: System, joint: str) -> System:
-    """The system with the rotor's share of a joint as it was, where no effect is left that identifies it."""
-    share = rotor_share(system, joint)
-    new = [c for k, c in system.components.items() if k.startswith(f"{joint}/") and k not in base.components]
-    if share is None or any(isinstance(part, Component) and part.splits_inertia for part in new):
-        return system
-    return system.with_specs({share.name: base.parameter(share.name).spec})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,8 +54,11 @@ def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
         left = [
             report.lost for (_, report), record in zip(found, dataset, strict=True) if record.role == "train"
         ]
+        # whether what the longer steps do not carry of each output is within its noise
+        weight = whole.weight.amax(1).numpy()
+        lost = np.array([[one.get(name, 0.0) for name in whole.outputs] for one in left])
         if (
-            _carried(whole, left)
+            bool((lost * weight <= CARRIED).all())
             and _moved(system, one, whole, run, factor, signal_share) <= CRITERIA.negligible
         ):
             return one
@@ -66,13 +68,6 @@ def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
 def _run(system: System, batch: Batch) -> np.ndarray:
     """Outputs of the free runs of whole records, ``(R, T, n_y)``."""
     return simulate(system, with_substeps(system, engine(), batch), batch).y.numpy()
-
-
-def _carried(whole: Batch, left: Sequence[Mapping[str, float]]) -> bool:
-    """Whether what the longer steps do not carry of each output is within its noise."""
-    weight = whole.weight.amax(1).numpy()
-    lost = np.array([[one.get(name, 0.0) for name in whole.outputs] for one in left])
-    return bool((lost * weight <= CARRIED).all())
 
 
 def _moved(

@@ -43,13 +43,48 @@ _CAUSES = "an effect outside the catalogue, or several small ones"
 
 def headline(diagnosis: Diagnosis) -> str:
     """What the diagnosis states, what is known first."""
-    sentence = {
-        "effects": _effects,
-        "outside_catalogue": _outside,
-        "parameters_only": _parameters_only,
-        "no_gap": _no_gap,
-        "inconclusive": _inconclusive,
-    }[diagnosis.verdict](diagnosis)
+    tried = count(len(diagnosis.effects), "effect")
+    match diagnosis.verdict:
+        case "effects":
+            sentence = _effects(diagnosis)
+        case "outside_catalogue":
+            share = f"{percent(diagnosis.remainder)} ({range_percent(diagnosis.remainder_interval)})"
+            sentence = (
+                f"None of {tried} of the catalogue surely explains any of the gap; {share} remains "
+                f"unexplained{_acting(diagnosis)}: {_CAUSES}."
+            )
+        case "parameters_only" if diagnosis.varying:
+            sentence = (
+                "No effect is missing, but the parameters differ from record to record: per-record fits of the train "
+                "records leave nothing but noise; one common set, whose errors stand below, leaves more."
+            )
+        case "parameters_only":
+            sentence = "Wrong parameter values explain the gap, and no effect is missing."
+            # which physical change explains the new values
+            sentence += f" {diagnosis.changes}" if diagnosis.changes else ""
+        case "no_gap" if not diagnosis.effects:
+            sentence = (
+                "There is no gap: the re-fitted nominal model leaves white noise or less, in which no effect was "
+                "tried."
+            )
+        case "no_gap":
+            sentence = (
+                f"There is no gap: none of {tried} predicts records left out surely better than the nominal model, "
+                "re-fitted."
+            )
+        case _ if diagnosis.interrupted:
+            sentence = "Inconclusive: no effect had been accepted."
+        case _:
+            sentence = "Inconclusive: too little data."
+            if diagnosis.relative_std > CRITERIA.max_relative_std:
+                surest = f"±{196 * diagnosis.relative_std:.2g} % (95 %)"
+                sentence += (
+                    f" No parameter is identified better than to {surest}, and an effect would hide in that."
+                )
+            else:
+                worth = diagnosis.search.base.validation.effective
+                sentence += f" The errors are worth {worth:.0f} independent samples."
+            sentence += " Record longer, or with faster changes of the command."
     if diagnosis.interrupted:
         sentence += " The search was interrupted: what is missing here may not have been tried."
     return f"{sentence} {diagnosis.contradiction}".rstrip()
@@ -122,49 +157,6 @@ def _acting(diagnosis: Diagnosis) -> str:
                 f" ({IN_WORDS[one.signal]})" if one.signal in IN_WORDS else f", with the {one.signal}"
             )
     return words
-
-
-def _outside(diagnosis: Diagnosis) -> str:
-    share = f"{percent(diagnosis.remainder)} ({range_percent(diagnosis.remainder_interval)})"
-    return (
-        f"None of {count(len(diagnosis.effects), 'effect')} of the catalogue surely explains any of the gap; {share} "
-        f"remains unexplained{_acting(diagnosis)}: {_CAUSES}."
-    )
-
-
-def _parameters_only(diagnosis: Diagnosis) -> str:
-    if diagnosis.varying:
-        return (
-            "No effect is missing, but the parameters differ from record to record: per-record fits of the train "
-            "records leave nothing but noise; one common set, whose errors stand below, leaves more."
-        )
-    sentence = "Wrong parameter values explain the gap, and no effect is missing."
-    # which physical change explains the new values
-    return f"{sentence} {diagnosis.changes}" if diagnosis.changes else sentence
-
-
-def _no_gap(diagnosis: Diagnosis) -> str:
-    if not diagnosis.effects:
-        return "There is no gap: the re-fitted nominal model leaves white noise or less, in which no effect was tried."
-    tried = count(len(diagnosis.effects), "effect")
-    return (
-        f"There is no gap: none of {tried} predicts records left out surely better than the nominal model, "
-        "re-fitted."
-    )
-
-
-def _inconclusive(diagnosis: Diagnosis) -> str:
-    if diagnosis.interrupted:
-        return "Inconclusive: no effect had been accepted."
-    advice = "Record longer, or with faster changes of the command."
-    if diagnosis.relative_std > CRITERIA.max_relative_std:
-        surest = f"±{196 * diagnosis.relative_std:.2g} % (95 %)"
-        return (
-            f"Inconclusive: too little data. No parameter is identified better than to {surest}, and an effect would "
-            f"hide in that. {advice}"
-        )
-    worth = diagnosis.search.base.validation.effective
-    return f"Inconclusive: too little data. The errors are worth {worth:.0f} independent samples. {advice}"
 
 
 # ---- the lines below it ----
@@ -273,7 +265,19 @@ def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
     for group in diagnosis.ties:
         members = [_member(member) for member in group]
         names = ", ".join(_at(*member, diagnosis.model) for member in members)
-        words = _excitations(members, brief)
+        # what would distinguish the members of a tie, pairs with the first one first; each excitation is said once
+        found: dict[str, list[str]] = {}
+        for one, other in combinations(members, 2):
+            pair = f"{words_of(one[0])} and {words_of(other[0])}"
+            if one[0] == other[0]:
+                pair = f"the places of {words_of(one[0])}"
+            if words := separation(one, other):
+                pairs = found.setdefault(words.partition(": ")[0] if brief else words, [])
+                pairs += [pair] if pair not in pairs else []
+        if brief or len(members) == 2:
+            words = "; ".join(found)
+        else:
+            words = "; ".join(f"for {', and for '.join(pairs)}, {words}" for words, pairs in found.items())
         advice = f" What would distinguish them: {words}." if words else ""
         lines.append(f"indistinguishable on these records: {names}.{advice}")
     return lines
@@ -299,21 +303,6 @@ def unselected_tie_lines(diagnosis: Diagnosis) -> list[str]:
         f"{also}indistinguishable on these records, of effects that are not selected: {'; '.join(said)}. No experiment "
         "is proposed for these."
     ]
-
-
-def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
-    """What would distinguish the members of a tie, pairs with the first one first; each excitation is said once."""
-    found: dict[str, list[str]] = {}
-    for one, other in combinations(members, 2):
-        pair = f"{words_of(one[0])} and {words_of(other[0])}"
-        if one[0] == other[0]:
-            pair = f"the places of {words_of(one[0])}"
-        if words := separation(one, other):
-            pairs = found.setdefault(words.partition(": ")[0] if brief else words, [])
-            pairs += [pair] if pair not in pairs else []
-    if brief or len(members) == 2:
-        return "; ".join(found)
-    return "; ".join(f"for {', and for '.join(pairs)}, {words}" for words, pairs in found.items())
 
 
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
