@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 JOBS ?= 2
-EXAMPLES ?= 5000
+EXAMPLES ?= 2000
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
@@ -37,7 +37,7 @@ benchmark-report: $(INSTALLED)  ## diagnose 40 stored machines and hold the scor
 soak: $(INSTALLED)  ## kill every long command at random moments and go on, 50 times each (three hours)
 	$(BIN)/python tests/soak.py
 
-fuzz: $(INSTALLED)  ## change files at random and let every reader read them, many times (EXAMPLES=5000)
+fuzz: $(INSTALLED)  ## change files at random and let every reader read them, many times (EXAMPLES=2000)
 	FUZZ=$(EXAMPLES) $(BIN)/python -m pytest -q -n $(JOBS) tests/test_robustness.py -k every_reader
 
 docs: $(INSTALLED)  ## build the documentation (site/)

@@ -353,55 +353,13 @@ def read_runs(folder: Path) -> None:
             refused(error)
 
 
-def kept_fit() -> Files:
-    return written(
-        lambda path: np.savez_compressed(path, allow_pickle=False, a=np.array(1.0), about=np.array("x")),
-        "k.npz",
-    )
-
-
-def read_kept(folder: Path) -> None:
-    from hybrid_id.identification.keep import Kept
-
-    kept = Kept(folder, "program")
-    name = next(iter(folder.glob("*.npz")))
-    made: list[Path] = []
-    kept.of("x", lambda: 1.0, lambda value: {"a": np.array(value)}, lambda arrays: float(arrays["a"]))
-    made = [path for path in folder.glob("*.npz") if path != name]
-    made[0].write_bytes(name.read_bytes())
-    kept.of("x", lambda: 1.0, lambda value: {"a": np.array(value)}, lambda arrays: float(arrays["a"]))
-
-
-def result() -> Files:
-    chosen = {"values": {"J": 1e-5}, "intervals": {"J": [9e-6, 1.1e-5]}}
-    values = {"program": "hybrid_id 1", "command": "identify", "level": 0.95, "parameters": ["J"], "selected": chosen,
-              "sets": [{"values": [1e-5], "status": "converged"}], "reliability": {"J": {"grade": "A", "reason": ""}},
-              "profiles": {"J": {"lower": 1e-6, "upper": 2e-5, "closed": [True, True]}}}  # fmt: skip
-    return {"result.json": json.dumps(values).encode()} | model()
-
-
-def read_ranges(folder: Path) -> None:
-    from hybrid_id.export.ranges import read_result, to_ranges
-    from hybrid_id.systems.model_file import load_model
-
-    to_ranges(load_model(folder / "model.yaml"), read_result(folder / "result.json"))
-
-
 def lerobot() -> Files:
-    import pandas as pd
+    from record_formats import write_lerobot
 
-    names = ["pan.pos"]
-    feature = {"dtype": "float32", "shape": [1], "names": names}
-    info = {"codebase_version": "v3.0", "fps": 50, "total_episodes": 1,
-            "features": {"action": feature, "observation.state": feature},
-            "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"}  # fmt: skip
-    n = 20
-    frame = pd.DataFrame({
-        "action": [np.array([0.1 * k], "f4") for k in range(n)], "timestamp": np.arange(n, dtype="f4") / 50,
-        "observation.state": [np.array([0.2 * k], "f4") for k in range(n)], "episode_index": 0, "frame_index": range(n),
-    })  # fmt: skip
-    data = written(frame.to_parquet, "a.parquet")["a.parquet"]
-    return {"meta/info.json": json.dumps(info).encode(), "data/chunk-000/file-000.parquet": data}
+    names, angle = {"observation.state": ["pan.pos"], "action": ["pan.pos"]}, 0.2 * np.arange(20.0)[:, None]
+    with tempfile.TemporaryDirectory() as folder:
+        file = write_lerobot(Path(folder), [(np.arange(20) / 50, angle, 0.5 * angle)], names)
+        return {name: (Path(folder) / name).read_bytes() for name in ("meta/info.json", file)}
 
 
 def record(
@@ -476,8 +434,6 @@ TARGETS: dict[str, Target] = {
         archive, open_archive, (b"../c.yaml", b"c003.yaml", b"ustar", b"effects: [[")
     ),
     "folder of runs": Target(runs, read_runs),
-    "kept fit": Target(kept_fit, read_kept),
-    "result.json": Target(result, read_ranges),
     "MJCF": Target(lambda: {"arm.xml": MJCF}, _load_tree("arm.xml"), XML),
     "URDF": Target(lambda: {"arm.urdf": URDF}, _load_tree("arm.urdf"), XML),
 }

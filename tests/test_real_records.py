@@ -50,19 +50,6 @@ def test_agreement_with_what_is_expected(experiment, verdict, effects, said) -> 
     assert cases.agreement(case, {"verdict": verdict, "effects": effects}) == said
 
 
-def test_a_case_of_the_wrong_load_wants_the_load_and_no_effect(experiment) -> None:
-    cases = experiment["cases"]
-    case, load = cases.CASES["xl330_load_plus_30"], "The load is 23 % (20-26 %) lighter"
-    assert cases.agreement(case, {"changes": load, "effects": []}) == "right"
-    assert (
-        cases.agreement(case, {"changes": load, "effects": [effect("cogging", 0.6)]})
-        == "right, beside others"
-    )
-    heavier = {"verdict": "parameters_only", "changes": load.replace("lighter", "heavier"), "effects": []}
-    assert cases.agreement(case, heavier) == "nothing named"
-    assert cases.agreement(case, {"changes": "", "effects": [effect("cogging", 0.6)]}) == "wrong"
-
-
 def test_the_twin_moves_at_the_speed_that_its_friction_allows(experiment) -> None:
     axis = experiment["real_machines"].CONFIG["emps"] | {"limit": 60.0, "offset": 0.0}
     goal = np.linspace(0.0, 10.0, 4000)  # faster than the limit of the force allows, so that it is reached
@@ -80,16 +67,6 @@ def test_strokes_of_the_twin_begin_and_end_at_rest(experiment) -> None:
     for stroke in strokes:
         q = stroke.outputs["q_m1"]
         assert max(np.ptp(q[:5]), np.ptp(q[-5:])) < 2e-3 < np.ptp(q)
-
-
-def test_halves_of_the_servo_are_random_and_stay(experiment, shared) -> None:
-    cases = experiment["cases"].CASES
-    halves = [
-        {r.name for r in cases[f"xl330_half_{k}"].build(shared / "data").dataset.train} for k in range(10)
-    ]
-    assert all(len(half) == 6 for half in halves) and len({frozenset(half) for half in halves}) == 10
-    again = cases["xl330_half_3"].build(shared / "data").dataset.train
-    assert {r.name for r in again} == halves[3]
 
 
 def test_interventions_change_what_they_say(experiment, shared) -> None:

@@ -1,5 +1,6 @@
 """The command line in process, on a small drive whose identification takes a second."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,3 +53,15 @@ def plain(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("plain") / "study.yaml"
     file.write_text(f"dataset: {drive}\n{PLAIN}")
     return file
+
+
+@pytest.fixture
+def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that one is in, with the drive as my_robot, short: what is run matters, not what is found."""
+    dataset = Dataset.load(drive)
+    short = tuple(record.between(0.0, 0.3) for record in dataset.records)
+    replace(dataset, records=short).save(tmp_path / "my_robot")
+    for name in ("model.yaml", "model_priors.yaml"):  # the demo has both
+        shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

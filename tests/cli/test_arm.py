@@ -266,39 +266,27 @@ def test_results_name_the_file_from_their_own_folder(run, arm: Path, tmp_path: P
     )
 
 
-def test_rotors_that_a_description_lacks_are_said(run, arm: Path, tmp_path: Path) -> None:
-    (arm / "bare.xml").write_text((arm / "arm.xml").read_text().replace('armature="0.01"', ""))
-    (arm / "bare.yaml").write_text("robot: {file: bare.xml}\n")
-    done = run("check", arm, "--model", arm / "bare.yaml")
-    words = " ".join(done.err.split())
-    assert "bare.xml gives no armature for base, joint 1/x, tip: these rotors are taken at a tenth" in words
-
-
-def test_links_without_a_mass_are_said(run, arm: Path) -> None:
+def test_rotors_and_masses_that_a_description_lacks_are_said(run, arm: Path) -> None:
     text = (arm / "arm.xml").read_text()
     last = text.rindex("<inertial")
-    (arm / "light.xml").write_text(text[:last] + text[text.index("/>", last) + 2 :])
-    (arm / "light.yaml").write_text("robot: {file: light.xml}\n")
-    words = " ".join(run("check", arm, "--model", arm / "light.yaml").err.split())
-    assert "light.xml gives no mass for body3: taken as massless, but for payloads" in words
-    assert "gives no mass" not in run("check", arm, "--model", arm / "model.yaml").err
+    changed = {
+        "bare": (text.replace('armature="0.01"', ""), "bare.xml gives no armature for base, joint 1/x, tip"),
+        "light": (text[:last] + text[text.index("/>", last) + 2 :], "light.xml gives no mass for body3"),
+    }
+    for name, (content, words) in changed.items():
+        (arm / f"{name}.xml").write_text(content)
+        (arm / f"{name}.yaml").write_text(f"robot: {{file: {name}.xml}}\n")
+        assert words in " ".join(run("check", arm, "--model", arm / f"{name}.yaml").err.split())
+    assert "gives no" not in run("check", arm, "--model", arm / "model.yaml").err
 
 
 def test_check_counts_base_parameters_and_says_how_they_are_excited(run, arm: Path) -> None:
     done = run("check", arm, "--model", arm / "model.yaml")
-    words = " ".join(done.out.split())
-    assert "33 inertial parameters of links and rotors act through" in words
-    assert "well (condition number" in words and "excites all" not in words and "the worst first" in words
-    full = run("check", arm, "--model", arm / "model.yaml", "--full")
-    assert "the worst first" not in full.out and "base parameter" in full.out
+    assert "33 inertial parameters" in " ".join(done.out.split()) and "the worst first" in done.out
+    assert "the worst first" not in run("check", arm, "--model", arm / "model.yaml", "--full").out
     found = json.loads(run("check", arm, "--model", arm / "model.yaml", "--json").out)["base_parameters"]
     assert found["inertial_parameters"] == 33 and found["condition_number"] > 1
-    for row in found["parameters"]:
-        assert (
-            row["coefficients"]
-            and row["std_error"] > 0
-            and row["text"].startswith(next(iter(row["coefficients"])))
-        )
+    assert all(row["coefficients"] and row["std_error"] > 0 for row in found["parameters"])
 
 
 def test_check_takes_a_joint_by_itself(run, arm: Path, tmp_path: Path) -> None:

@@ -167,13 +167,6 @@ def test_records_of_more_joints_than_the_model_has(run, drive: Path, tmp_path: P
         assert words in said.err
 
 
-def test_check_as_json(run, drive: Path) -> None:
-    result = json.loads(run("check", drive, "--json").out)
-    assert [record["name"] for record in result["records"]] == ["run_0", "run_1", "run_2", "run_3"]
-    assert result["identifiability"]["not_identifiable"] == []
-    assert {finding["severity"] for finding in result["findings"]} <= {"info", "warning"}
-
-
 def test_identify_writes_everything(identified: tuple[Path, str], tmp_path: Path) -> None:
     out, words = identified
     assert len(words.splitlines()) <= 25

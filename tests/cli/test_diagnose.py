@@ -133,16 +133,6 @@ def test_written_models_are_those_of_the_diagnosis(
     assert said.code == 0
 
 
-def test_earlier_diagnosis_is_replaced_only_by_force(run, known, plain: Path, tmp_path: Path) -> None:
-    out = tmp_path / "gap"
-    assert run("diagnose", plain, "--out", out).code == 0
-    refused = run("diagnose", plain, "--out", out)
-    assert refused.code == 2 and "--force" in refused.err
-    assert run("diagnose", plain, "--out", out, "--force").code == 0
-    (out / "diagnosis.json").write_text("{}")  # not ours any more
-    assert run("diagnose", plain, "--out", out, "--force").code == 2
-
-
 def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
     dataset, nominal = small_case()
     dataset.save(tmp_path / "data")

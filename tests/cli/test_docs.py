@@ -5,14 +5,12 @@ import re
 import shlex
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
 
 import hybrid_id
-from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.scoreboard import ROWS
 
 HOME = Path(__file__).resolve().parents[2]
@@ -25,19 +23,6 @@ MARKDOWN = [
 ELSEWHERE = {"effects.md", "tour.md"}  # tests/diagnosis/test_effects_guide.py and test_readme.py run them
 FENCE = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PAGES = {page.name: FENCE.findall(page.read_text(encoding="utf-8")) for page in sorted(DOCS.glob("*.md"))}
-
-
-@pytest.fixture
-def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    dataset = Dataset.load(drive)
-    short = tuple(
-        record.between(0.0, 0.3) for record in dataset.records
-    )  # what is run matters, not what is found
-    replace(dataset, records=short).save(tmp_path / "my_robot")
-    shutil.copy(drive / "model.yaml", tmp_path / "my_robot")
-    shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")  # the demo has one
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.mark.parametrize("page", [name for name, blocks in PAGES.items() if blocks and name not in ELSEWHERE])

@@ -105,13 +105,6 @@ def test_identify_says_who_uses_the_section(run, study: Path, tmp_path: Path) ->
     assert told.code == 0 and told.err.count("'train' uses the section 'hybrid'") == 1
 
 
-def test_an_unknown_device_is_told(run, study: Path, tmp_path: Path) -> None:
-    told = run("train", study, "--out", tmp_path / "out", "--device", "cuda:77")
-    assert (
-        told.code == 2 and "device 'cuda:77' cannot be used" in told.err and not (tmp_path / "out").exists()
-    )
-
-
 def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> None:
     text = study.read_text()
     for old, new, words in (

@@ -2,14 +2,11 @@
 
 import re
 import shlex
-import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
-from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.schema import DatasetFile
 from hybrid_id.records.yaml_file import validate
 from hybrid_id.systems.model_file import ModelFile, build_model
@@ -27,17 +24,6 @@ def blocks(page: str, language: str) -> list[str]:
 def commands(page: str) -> list[str]:
     lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
     return [line for line in lines if line.startswith("hybrid-id ")]
-
-
-@pytest.fixture
-def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    dataset = Dataset.load(drive)
-    short = tuple(record.between(0.0, 0.2) for record in dataset.records[1:])  # more take a minute
-    replace(dataset, records=short).save(tmp_path / "my_robot")
-    shutil.copy(drive / "model.yaml", tmp_path / "my_robot")
-    shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_example_files_are_sound() -> None:

@@ -8,16 +8,8 @@ from pathlib import Path
 import pytest
 import soak
 
-from hybrid_id.cli.console import FitProgress, SearchProgress, terminated_as_interrupted
+from hybrid_id.cli.console import FitProgress, SearchProgress
 from hybrid_id.identification.result import FitResult
-
-
-def test_terminated_ends_a_fit_as_politely_as_ctrl_c(capsys: pytest.CaptureFixture[str]) -> None:
-    with terminated_as_interrupted(), FitProgress(2, 60) as progress:
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.01)
-        assert progress("records", 2, None, [0, 1]) is True
-    assert "stopping after this iteration" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["identify", "diagnose", "train", "ablate", "simulate", "demo"])

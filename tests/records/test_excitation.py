@@ -113,15 +113,12 @@ def test_the_usual_number_of_tones_is_one_that_the_band_holds(lowest, width, dur
     ("change", "words"),
     [
         ({"band": (0.1, 0.5), "tones": 20}, "fewer than 20 tones"),
-        ({"band": (0.11, 0.12)}, "fewer than 1 tones"),
         ({"band": (1.0, 60.0)}, "half the sampling frequency"),
         ({"band": (0.1, 2.0), "amplitude_limits": 0.0}, "amplitude limit"),
-        ({"band": (0.1, 2.0), "amplitude_limits": float("nan")}, "amplitude limit"),
         ({"band": (0.1, 2.0), "spectrum": [1.0, 2.0]}, "a positive amplitude"),
         ({"band": (0.1, 2.0), "duration": 0.001}, "no two samples"),
         ({}, "give a band or the frequencies"),
         ({"frequencies": [1.0, 1.01]}, "fall on one multiple"),
-        ({"frequencies": [0.0, 1.0]}, "must lie between"),
     ],
 )
 def test_what_cannot_be_built_is_refused_in_words(change, words):

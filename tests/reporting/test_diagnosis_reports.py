@@ -14,14 +14,10 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis import (
     diagnosis_page,
     diagnosis_table,
-    effects_table,
-    parameters_table,
     summary,
 )
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.reporting.diagnosis_words import (
-    headline,
-    tie_lines,
     unselected_tie_lines,
     words_of,
 )
@@ -112,38 +108,6 @@ def test_summary_begins_with_what_is_known_and_is_short(verdict: str, diagnosed,
     assert max(map(len, lines)) <= 120
 
 
-def test_what_explains_next_to_nothing_is_set_apart(diagnosed) -> None:
-    found = half_explained(diagnosed[2])
-    second = replace(found.effects[1], selected=True, share=0.003, share_interval=(0.0, 0.006))
-    both = replace(found, effects=(found.effects[0], second, *found.effects[2:]))
-    assert headline(both).startswith("Spring load explains 43 %")
-    place = f"{words_of(second.name)} (joint 1, "
-    assert f" Also fitted, negligible (less than 0.5 % of the gap each): {place}" in headline(both)
-    marks = [str(cell) for cell in effects_table(both).columns[-1].cells]
-    assert marks[:2] == ["selected", "negligible"]
-
-
-def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
-    two = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.68, 1.0))
-    assert "at joint" not in headline(half_explained(diagnosed[2], disturbances=two))
-    weak = half_explained(diagnosed[2], residual_after=(replace(PLACE, share=0.03),))
-    assert "link side" in headline(weak) and "angle" not in headline(weak)
-    one_side = half_explained(diagnosed[2], disturbances=(ACTS[0], Disturbance("joint2", "motor", 0.69, 1.0)))
-    assert "at joint 2" in headline(one_side) and "link side" not in headline(one_side)
-
-
-def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> None:
-    tied = replace(diagnosed[2], ties=(TIED,), experiments=(PROPOSED,))
-    assert all(words in summary(tied) for words in ("indistinguishable", "next experiment", PROPOSED.name))
-    (line,) = tie_lines(tied)
-    assert "spring load" in line and "gravity load" in line and "distinguish them: " in line
-    (unknown,) = tie_lines(replace(tied, ties=(("delay@joint1/input", TIED[0]),)))
-    assert "distinguish them" not in unknown  # nothing is known of this pair
-    assert replace(tied, experiments=(replace(PROPOSED, distance=0.08),)).as_dict()["next_experiments"] == []
-    clear = summary(replace(diagnosed[2], ties=(), experiments=()))
-    assert "indistinguishable" not in clear and "next experiment" not in clear
-
-
 def test_ties_of_effects_that_are_not_selected_stand_on_the_page_as_in_the_file(diagnosed) -> None:
     first, one, other, *others = (replace(one, tied_with=()) for one in diagnosed[2].effects)
     name, rival = (f"{e.name}@{e.where}" for e in (one, other))
@@ -173,23 +137,6 @@ def test_file_says_where_the_unknown_acts_and_each_output_errs(diagnosed) -> Non
     content = half_explained(diagnosed[2]).as_dict()
     assert content["unknown_location"] == {"joint": "joint2", "side": "load"}
     assert content["gap"]["by_output"]["q_m1"]["refit"] == content["gap"]["refit"]
-
-
-def test_tables_hold_every_effect_and_parameter(diagnosed) -> None:
-    found = diagnosed[2]
-    assert effects_table(found).row_count == len(found.effects)
-    table = parameters_table(found)
-    names = list(table.columns[0].cells)
-    assert {"J", "F_c", "k_s", "q_s"} <= set(names)
-    heads = [str(column.header) for column in table.columns]
-    assert heads[:3] == ["parameter", "reliability", "nominal"] and heads[7:9] == ["unit", "meaning"]
-    row = names.index("k_s")
-    cells = {name: [str(list(column.cells)[k]) for column in table.columns] for k, name in enumerate(names)}
-    assert cells["k_s"][2:5] == ["", "", ""]  # the nominal model lacks it
-    assert names.index("k_s") == row and cells["k_s"][8] == "stiffness of what pulls"
-    assert cells["k_s"][6] == "none"  # in voltage and angle no torque has a scale
-    low, high = map(float, cells["q_s"][6].split(" to "))
-    assert low < float(cells["q_s"][5]) < high
 
 
 def test_a_bound_that_is_reached_is_marked(diagnosed) -> None:

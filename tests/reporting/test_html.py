@@ -59,15 +59,6 @@ def test_words_in_brackets_are_words() -> None:
     assert made.html().count(words) == 2
 
 
-def test_page_holds_tables_remarks_and_pictures() -> None:
-    text = page().html()
-    assert re.search(r'<td class="number red">2e-05</td>', text)
-    assert '<p class="yellow">at a bound: F_c</p>' in text
-    assert '<p class="">plain words</p>' in text
-    assert 'alt="nothing to see"' in text
-    assert text.count("data:image/png;base64,") == 1
-
-
 def test_page_fetches_nothing() -> None:
     links = re.findall(r'(?:src|href)="([^"]*)"', page().html())
     assert links
