@@ -5,22 +5,13 @@ Their dry friction is set-valued and their switches between stick and slip are l
 reason nothing here may know the models.
 """
 
+import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeFloat,
-    PositiveFloat,
-    PositiveInt,
-    ValidationInfo,
-    create_model,
-    field_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from hybrid_id.errors import InputError
 from hybrid_id.machines.physics.friction import AsymmetricStribeck, AsymmetricTanh, Viscous
@@ -163,6 +154,7 @@ class ArmExperiment(Section):
 
 
 Planned = TypeVar("Planned", Experiment, ArmExperiment)
+Ratio = TypeVar("Ratio")
 
 
 class Excitation(Section, Generic[Planned]):
@@ -172,12 +164,21 @@ class Excitation(Section, Generic[Planned]):
     experiments: Annotated[list[Planned], Field(min_length=1)]
 
 
-class Twin(Section):
+class Knowledge(Section):
+    """What the model file that goes with the records says of each parameter.
+
+    Without a nominal value it starts off the truth; with `prior_std` it is held, or has a prior in the variant with
+    priors.
+    """
+
+    start_error: Annotated[float, Field(ge=0, lt=1)]
+    parameters: dict[str, dict[str, Any]]
+
+
+class Twin(Section, Generic[Ratio, Planned]):
     """All settings of a twin, and the machine that they make; times in s, `rest` is part of `duration`.
 
-    `truth` holds every parameter of the machine, and `model` what the model file that goes with the records says of it:
-    without a nominal value it starts off the truth; with `prior_std` it is held, or has a prior in the variant with
-    priors.
+    `truth` holds every parameter of the machine.
     """
 
     name: str
@@ -186,31 +187,11 @@ class Twin(Section):
     rest: NonNegativeFloat
     duration: PositiveFloat
     substeps: PositiveInt
-    gear_ratio: Any
-    truth: Any
+    gear_ratio: Ratio
+    truth: dict[str, float]
     disturbances: Disturbances
-    excitation: Any
-    model: Any
-
-    @field_validator("duration")
-    @classmethod
-    def _leaves_time_to_move(cls, duration: float, info: ValidationInfo) -> float:
-        if duration < info.data.get("rest", 0.0) + 10 * info.data.get("sample_time", 0.0):
-            raise ValueError("must be longer than rest by ten samples or more")
-        return duration
-
-    @field_validator("truth")
-    @classmethod
-    def _has_mass(cls, truth: Any) -> Any:
-        if hasattr(truth, "P_4"):
-            p_1, p_2, p_3, p_4 = truth.P_1, truth.P_2, truth.P_3, truth.P_4
-            # the determinant of the mass matrix is concave in cos q_2: its least value lies at an end
-            if min((p_1 + 2 * c * p_3) * p_2 - (p_4 + c * p_3) ** 2 for c in (-1.0, 1.0)) <= 0:
-                raise ValueError(
-                    "the mass matrix of P_1 to P_4 is not positive definite at some q_2; lower P_3 or P_4, or raise "
-                    "P_1 or P_2"
-                )
-        return truth
+    excitation: Excitation[Planned]
+    model: Knowledge
 
     @property
     def kind(self) -> Kind:
@@ -244,7 +225,7 @@ class Twin(Section):
             dry = AsymmetricStribeck(**{name: p[name + motor] for name in LEVELS})
             drive.rotor_laws = [dry, Viscous(p["f_3" + motor])]
             if wave and wave.share:
-                amplitude = wave.share * getattr(self.truth, "f_11" + motor)
+                amplitude = wave.share * self.truth["f_11" + motor]
                 drive.rotor_laws.append(Cogging([-amplitude], [wave.periods], [0.0]))
             drives.append(drive)
         if self.machine == "two_link":
@@ -277,46 +258,45 @@ class Twin(Section):
 
     def draw_torques(self, n_samples: int, random: np.random.Generator) -> np.ndarray:
         """Random torques (n_motors, T) of one run [N m]."""
-        levels = np.array([[getattr(self.truth, "f_11" + motor)] for motor in self.kind.motors])
+        levels = np.array([[self.truth["f_11" + motor]] for motor in self.kind.motors])
         scale = self.disturbances.torque_noise * levels
         return random.normal(scale=scale, size=(len(levels), n_samples))
 
 
-def _settings(machine: str, gear_ratio: Any, excitation: type[Section]) -> type[Twin]:
-    """Settings of one machine, whose sections `truth` and `model` have a key for each parameter, and no other."""
-    truth: dict[str, Any] = {}
-    for name in KINDS[machine].parameters:
-        symbol = name.removesuffix("m1").removesuffix("m2") if machine == "two_link" else name
-        size = float if symbol in SIGNED else PositiveFloat if symbol in POSITIVE else NonNegativeFloat
-        truth[name] = (size, ...)
-    known: dict[str, Any] = dict.fromkeys(truth, (dict[str, Any], ...))
-    model: dict[str, Any] = {
-        "start_error": (Annotated[float, Field(ge=0, lt=1)], ...),
-        "parameters": (create_model("Parameters", __base__=Section, **known), ...),
-    }
-    return create_model(
-        "Twin",
-        __base__=Twin,
-        gear_ratio=(gear_ratio, ...),
-        truth=(create_model("Truth", __base__=Section, **truth), ...),
-        excitation=(excitation, ...),
-        model=(create_model("Model", __base__=Section, **model), ...),
-    )
-
-
-TWINS = {
-    "one_link": _settings("one_link", PositiveFloat, Excitation[Experiment]),
-    "one_link_flexible": _settings("one_link_flexible", PositiveFloat, Excitation[Experiment]),
-    "two_link": _settings("two_link", tuple[PositiveFloat, PositiveFloat], Excitation[ArmExperiment]),
-}
-
-
-def read_settings(config: Mapping[str, Any]) -> Twin:
+def read_settings(config: Mapping[str, Any]) -> Twin[Any, Any]:
     """Check the settings of a twin; the first fault is an InputError that names its key."""
     machine, source = config.get("machine", "one_link"), "settings of the twin"
-    if not isinstance(machine, str) or machine not in TWINS:
-        raise InputError(f"{source}: key 'machine' is {machine!r}; use one of {', '.join(TWINS)}")
-    return validate(TWINS[machine], config, source)
+    if not isinstance(machine, str) or machine not in KINDS:
+        raise InputError(f"{source}: key 'machine' is {machine!r}; use one of {', '.join(KINDS)}")
+    arm, one = Twin[tuple[PositiveFloat, PositiveFloat], ArmExperiment], Twin[PositiveFloat, Experiment]
+    twin = validate(arm if machine == "two_link" else one, config, source)
+    if twin.duration < twin.rest + 10 * twin.sample_time:
+        raise InputError(f"{source}: key 'duration' must be longer than rest by ten samples or more")
+    names = KINDS[machine].parameters
+    for section, given in (("truth", twin.truth), ("model.parameters", twin.model.parameters)):
+        for name in given:
+            if name not in names:
+                close = difflib.get_close_matches(name, names, n=1)
+                hint = f"did you mean '{close[0]}'?" if close else "remove it"
+                raise InputError(f"{source}: key '{section}.{name}' is unknown; {hint}")
+        for name in names:
+            if name not in given:
+                raise InputError(f"{source}: key '{section}.{name}' is missing; add it")
+    truth = {name: twin.truth[name] for name in names}
+    for name, value in truth.items():
+        symbol = name.removesuffix("m1").removesuffix("m2") if machine == "two_link" else name
+        if symbol not in SIGNED and (value < 0 or (symbol in POSITIVE and value == 0)):
+            bound = "greater than 0" if symbol in POSITIVE else "greater than or equal to 0"
+            raise InputError(f"{source}: key 'truth.{name}' must be {bound}, found {value!r}")
+    if machine == "two_link":
+        p_1, p_2, p_3, p_4 = (truth[f"P_{i}"] for i in (1, 2, 3, 4))
+        # the determinant of the mass matrix is concave in cos q_2: its least value lies at an end
+        if min((p_1 + 2 * c * p_3) * p_2 - (p_4 + c * p_3) ** 2 for c in (-1.0, 1.0)) <= 0:
+            raise InputError(
+                f"{source}: key 'truth': the mass matrix of P_1 to P_4 is not positive definite at some q_2; lower "
+                "P_3 or P_4, or raise P_1 or P_2"
+            )
+    return twin.model_copy(update={"truth": truth})
 
 
 def model_description(config: Mapping[str, Any], seed: int, *, priors: bool = False) -> dict[str, Any]:
@@ -331,7 +311,7 @@ def model_description(config: Mapping[str, Any], seed: int, *, priors: bool = Fa
     size, random = twin.model.start_error, np.random.default_rng([seed, len(twin.excitation.experiments)])
     truth, entries = dict(twin.truth), dict[str, Any]()
     for name, factor in zip(truth, random.uniform(1 - size, 1 + size, len(truth)), strict=True):
-        known = getattr(twin.model.parameters, name)
+        known = twin.model.parameters[name]
         entries[name] = entry = {"nominal": float(f"{truth[name] * factor:.6g}"), **known}
         entry.pop("estimate" if priors and "prior_std" in known else "prior_std", None)
     friction = ("asymmetric_stribeck", (*LEVELS, "f_3"))
