@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import PlainValidator
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import Progress
 from hybrid_id.identification.objective import Loss, evaluate
+from hybrid_id.paper.tracking import Array
 from hybrid_id.paper.twin import make_campaign, model_description, replay
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import smooth_derivatives
@@ -28,6 +30,8 @@ PLAN = "reproduce.yaml"
 QUICK_RECORDS, QUICK_LENGTH, QUICK_TRACKING = 2, 1.0, {"duration": 1.2, "fade": 0.5}
 """Records a stage and their length [s], and times of the closed loops [s], where a look at everything is enough."""
 
+Errors = Annotated[np.ndarray, PlainValidator(lambda kept: np.nan_to_num(np.array(kept, float), nan=np.inf))]
+"""Standard errors, for which a file of results has null where there is none."""
 Plan = Mapping[str, Any]
 """A stage, or the closed loops, as `configs/reproduce.yaml` says."""
 
@@ -59,18 +63,18 @@ class StageResult:
     title: str
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: np.ndarray
+    values: Array
     truth: dict[str, float]
-    truths: np.ndarray
-    std_error: np.ndarray
-    covariance: np.ndarray
-    held_error: np.ndarray
+    truths: Array
+    std_error: Errors
+    covariance: Array
+    held_error: Array
     by_prior: tuple[str, ...]
     held: dict[str, float]
     words: tuple[str, ...]
     signals: tuple[str, ...]
-    fits: np.ndarray
-    truth_fits: np.ndarray
+    fits: Array
+    truth_fits: Array
     selected: int
     failed: tuple[str, ...]
 

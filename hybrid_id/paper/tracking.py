@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import PlainValidator
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
@@ -24,6 +25,8 @@ WIDTH = 1.0
 """Desired speed at which dry friction is compensated to 76 % [rad/s, motor]."""
 SMOOTHING = 0.01
 """Standard deviation [s] of the Gaussian that smooths the motion planned for a motor behind a gear with play."""
+Array = Annotated[np.ndarray, PlainValidator(lambda kept: np.array(kept, float))]
+"""What a file of results holds as lists, with null for what is not a number."""
 
 
 def reference(
@@ -170,13 +173,13 @@ class TrackingResult:
     """
 
     models: tuple[str, ...]
-    time: np.ndarray
-    desired: np.ndarray
-    angle: np.ndarray
-    voltage: np.ndarray
-    rms: np.ndarray
-    peak: np.ndarray
-    saturated: np.ndarray
+    time: Array
+    desired: Array
+    angle: Array
+    voltage: Array
+    rms: Array
+    peak: Array
+    saturated: Array
 
 
 def three_models(system: System, inertias: Mapping[str, float], error: float, seeds: Sequence[int]) -> Tensor:

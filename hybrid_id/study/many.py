@@ -213,17 +213,22 @@ def each_kept(
         if isinstance(result, Failure):
             failed[name] = result.message
             continue
-        found[name], file = result, files(name)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        # the digest tells what somebody has edited from what was computed
-        content = plain(asdict(result))
-        seal = digest_of((keys[name], content))
-        write_json(file, {"program": f"hybrid_id {__version__}", "seal": seal, "result": content})
+        found[name] = result
+        keep(files(name), result, keys[name])
     return {name: found[name] for name in pieces if name in found}, failed
 
 
+def keep(file: Path, result: Any, key: str) -> None:
+    """Write a dataclass of plain data or arrays for :func:`kept`, under the digest of all that decides it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    # the digest tells what somebody has edited from what was computed
+    content = plain(asdict(result))
+    seal = digest_of((key, content))
+    write_json(file, {"program": f"hybrid_id {__version__}", "seal": seal, "result": content})
+
+
 def kept(file: Path, kind: type[Result], key: str) -> Result | None:
-    """A result that :func:`each_kept` has written; None where there is none, or one of another key or edited."""
+    """A result that :func:`keep` has written; None where there is none, or one of another key or edited."""
     try:
         content = read_object(file, "kept result")
         if content["seal"] != digest_of((key, content["result"])):
