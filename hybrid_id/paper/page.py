@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -17,7 +18,7 @@ from hybrid_id.paper.tracking import TABLE_1, TrackingResult, inertia_signs
 from hybrid_id.paper.twin import LEVELS
 from hybrid_id.records.derivatives import differentiate
 from hybrid_id.records.record import Record
-from hybrid_id.reporting.page import Page, Section
+from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import (
     COLOURS,
     DASHES,
@@ -270,6 +271,21 @@ LEAD = (
     "and seeds were fixed before the first fit; nothing is tuned to a printed value."
 )
 QUICK = "In short: two records of a second in each stage, for which the targets are not meant."
+SHOWN = "Shown is the first seed, whose mathematical model has too"
+CAPTIONS = {
+    "figure_03": "Fig. 3. Preprocessing of one experiment: the Fourier transform of the encoder's angle, unwanted "
+    "frequencies dropped, differentiated by jω.",
+    "figure_04": "Fig. 4. Three models follow a sine (left), and their tracking errors (right). {shown} {first}.",
+    "figure_05": "Fig. 5. The link behind a gear with play follows a sine: rigid model and backlash-flexible model of "
+    "the same machine (left), and their tracking errors (right).",
+    "figure_08": "Fig. 8. Three models follow a trajectory: joint 1 (left), joint 2 (right).",
+    "figure_09": "Fig. 9. Tracking errors of joint 1 (left) and joint 2 (right). {shown} {first} and too {second}.",
+    "figure_13": "Fig. 13. Friction torque over velocity of the first link: solid body and flexible model. Pale: the "
+    "machine's own. All levels scale with the data sheet's P_m1, and P_m2 and the viscous slope make up for each "
+    "other: they are indistinguishable from voltage and angle. The intervals say so; the curves are those of one set.",
+    "figure_14": "Fig. 14. Friction torque over velocity of the second link in three stages.",
+    "tracking_spread": "RMS error of every seed; the bar is their mean.",
+}
 
 
 def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict[str, np.ndarray]]:
@@ -279,15 +295,56 @@ def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict
         result: all results.
         quick: whether the results are those of the short run.
     """
-    stages, loops, figures = result.stages, result.tracking, dict[str, np.ndarray]()
+    stages, loops = result.stages, result.tracking
+    alone = (("motion", 0, ""), ("error", 0, ""))
+    joints = ((0, "joint 1"), (1, "joint 2"))
+    first_link = [
+        (r"$\tau_\mathrm{f}$, rigid", stages["link1"], ""),
+        (r"$\tau_\mathrm{fm}$, flexible", stages["link1_flexible"], ""),
+    ]
+    second_link = [
+        (r"$\tau_\mathrm{f}$, high velocity", stages["link2_high"], ""),
+        (r"$\tau_\mathrm{f}$, low velocity", stages["link2_low"], ""),
+        (r"$\tau_\mathrm{f2}$, both links", stages["both_links"], "m2"),
+    ]
+    errors = [
+        ("one link", loops["one_link"], 0),
+        ("both, joint 1", loops["both_links"], 0),
+        ("both, joint 2", loops["both_links"], 1),
+        ("backlash", loops["backlash"], 0),
+    ]
+    both = loops["both_links"]
+    drawn = {
+        "figure_03": preprocessing_figure(result.record),
+        "figure_04": tracking_figure(loops["one_link"], alone),
+        "figure_05": tracking_figure(loops["backlash"], alone),
+        "figure_08": tracking_figure(both, [("motion", joint, title) for joint, title in joints]),
+        "figure_09": tracking_figure(both, [("error", joint, title) for joint, title in joints]),
+        "figure_13": friction_figure(first_link, stages["link1_flexible"]),
+        "figure_14": friction_figure(second_link),
+        "tracking_spread": spread_figure(errors),
+    }
+    figures = {name: pixels(figure) for name, figure in drawn.items()}
+    first, second = (
+        f"{'much' if sign > 0 else 'little'} inertia at link {link}"
+        for link, sign in enumerate(inertia_signs(0), start=1)
+    )
+    verdict = f"{sum(claim.met for claim in result.claims)} of {len(result.claims)} claims are met."
+    page = Page("The paper on digital twins", " ".join([verdict, LEAD, *([QUICK] if quick else [])]))
 
-    def show(section: Section, name: str, figure: Figure, caption: str) -> None:
-        figures[name] = pixels(figure)
-        section.figure(figures[name], caption)
+    def section(title: str, *things: RenderableType) -> None:
+        """A heading and, under it, what is on the page: words, tables, and figures by their names."""
+        under = page.section(title)
+        for thing in things:
+            if isinstance(thing, str) and thing in figures:
+                under.figure(figures[thing], CAPTIONS[thing].format(shown=SHOWN, first=first, second=second))
+            else:
+                under.add(thing)
 
-    def stage(name: str, title: str) -> Section:
+    def stage(name: str, title: str, *things: RenderableType) -> None:
         found, numbers = stages[name], PRINTED[name].numbers
-        return page.section(title).add(
+        section(
+            title,
             f"Table {numbers[0]}: {len(found.values)} experiments, set {found.selected + 1} is selected. "
             "The truth is that of the selected set's own run.",
             _parameters(name, found),
@@ -295,83 +352,33 @@ def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict
             *(f"not converged: {words}" for words in found.failed),
             f"Table {numbers[1]}: fit of the selected set over all experiments, and of each set on its own record.",
             _fits(name, found),
+            *things,
         )
 
-    verdict = f"{sum(claim.met for claim in result.claims)} of {len(result.claims)} claims are met."
-    page = Page("The paper on digital twins", " ".join([verdict, LEAD, *([QUICK] if quick else [])]))
-    page.section("What was to be shown").add(claims_table(result.claims))
-    motors = page.section("II: motors and preprocessing").add(
+    section("What was to be shown", claims_table(result.claims))
+    constants = [(n, f"{v:.5g}", "N m/V" if "P_m1" in n else "V s/rad") for n, v in TABLE_1.items()]
+    section(
+        "II: motors and preprocessing",
         "Table 1: motor constants of the data sheets.",
-        _table(
-            [
-                {"parameter": n, "printed>": f"{v:.5g}", "unit": "N m/V" if "P_m1" in n else "V s/rad"}
-                for n, v in TABLE_1.items()
-            ]
-        ),
-    )
-    show(
-        motors,
+        table(("parameter", "printed>", "unit"), constants),
         "figure_03",
-        preprocessing_figure(result.record),
-        "Fig. 3. Preprocessing of one experiment: the Fourier transform of the encoder's angle, unwanted frequencies "
-        "dropped, differentiated by jω.",
     )
-    signs = ["much" if sign > 0 else "little" for sign in inertia_signs(0)]
-    off = [f"{sign} inertia at link {link}" for link, sign in enumerate(signs, start=1)]
-    shown = "Shown is the first seed, whose mathematical model has too"
-    alone = (("motion", 0, ""), ("error", 0, ""))
-    first = stage("link1", "III.A-B: first link, solid body").add(
+    stage(
+        "link1",
+        "III.A-B: first link, solid body",
         "A set fits its own record almost wholly. On the others it meets friction that has drifted from run to run: "
         "nothing pulls the angle back, so the difference adds up over a free run, and the position wanders. The true "
-        "parameters of the same run wander alike; velocity hardly shows it."
-    )
-    show(
-        first,
+        "parameters of the same run wander alike; velocity hardly shows it.",
         "figure_04",
-        tracking_figure(loops["one_link"], alone),
-        f"Fig. 4. Three models follow a sine (left), and their tracking errors (right). {shown} {off[0]}.",
     )
-    show(
-        stage("link1_flexible", "III.D: first link, flexible with backlash"),
-        "figure_05",
-        tracking_figure(loops["backlash"], alone),
-        "Fig. 5. The link behind a gear with play follows a sine: rigid model and backlash-flexible model of the same "
-        "machine (left), and their tracking errors (right).",
-    )
+    stage("link1_flexible", "III.D: first link, flexible with backlash", "figure_05")
     stage("link2_high", "IV: second link, high velocity")
     stage("link2_low", "IV: second link, low velocity")
-    both = stage("both_links", "V: both links")
-    for name, what, caption in (
-        ("figure_08", "motion", "Fig. 8. Three models follow a trajectory: joint 1 (left), joint 2 (right)."),
-        (
-            "figure_09",
-            "error",
-            f"Fig. 9. Tracking errors of joint 1 (left) and joint 2 (right). {shown} {' and too '.join(off)}.",
-        ),
-    ):
-        panels = [(what, joint, f"joint {joint + 1}") for joint in (0, 1)]
-        show(both, name, tracking_figure(loops["both_links"], panels), caption)
-    comparison = page.section("VI-VII: friction and inertia compared")
-    curves = [
-        (r"$\tau_\mathrm{f}$, rigid", stages["link1"], ""),
-        (r"$\tau_\mathrm{fm}$, flexible", stages["link1_flexible"], ""),
-    ]
-    show(
-        comparison,
+    stage("both_links", "V: both links", "figure_08", "figure_09")
+    section(
+        "VI-VII: friction and inertia compared",
         "figure_13",
-        friction_figure(curves, stages["link1_flexible"]),
-        "Fig. 13. Friction torque over velocity of the first link: solid body and flexible model. Pale: the machine's "
-        "own. All levels scale with the data sheet's P_m1, and P_m2 and the viscous slope make up for each other: they "
-        "are indistinguishable from voltage and angle. The intervals say so; the curves are those of one set.",
-    )
-    curves = [
-        (r"$\tau_\mathrm{f}$, high velocity", stages["link2_high"], ""),
-        (r"$\tau_\mathrm{f}$, low velocity", stages["link2_low"], ""),
-        (r"$\tau_\mathrm{f2}$, both links", stages["both_links"], "m2"),
-    ]
-    caption = "Fig. 14. Friction torque over velocity of the second link in three stages."
-    show(comparison, "figure_14", friction_figure(curves), caption)
-    comparison.add(
+        "figure_14",
         "Table 12: inertia of the second link. On the right the standard error from one record.",
         _inertia(stages),
         "Why low velocity identifies the inertia worse than high velocity: the motor stays on the flank of the "
@@ -380,20 +387,14 @@ def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict
         "2 moves slowest identify P_2 least. The paper's own 36 % between its stages does not come from this alone: "
         "here the model has the machine's structure.",
     )
-    tracking = page.section("Tracking errors").add(
+    section(
+        "Tracking errors",
         "Computed torque with the same gains and voltage limit for all models. MM: Table 1 and each link's inertia off "
         "by 25 %, up or down by seed; IFLRM: identified motor and inertia, no friction; IFRM: all that was identified. "
         "Errors at the link, mean ± standard deviation over the seeds.",
         _tracking(loops),
         "A mathematical model with too much inertia also closes a stiffer loop, since the gains act through it, and "
         "friction moves that less: a single seed may beat IFLRM; the table of claims has the paired test.",
+        "tracking_spread",
     )
-    errors = [
-        ("one link", loops["one_link"], 0),
-        ("both, joint 1", loops["both_links"], 0),
-        ("both, joint 2", loops["both_links"], 1),
-        ("backlash", loops["backlash"], 0),
-    ]
-    caption = "RMS error of every seed; the bar is their mean."
-    show(tracking, "tracking_spread", spread_figure(errors), caption)
     return page, figures

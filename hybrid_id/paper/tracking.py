@@ -12,7 +12,8 @@ from pydantic import PlainValidator
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
-from hybrid_id.paper.twin import Plant
+from hybrid_id.machines.physics.stick_slip import advance
+from hybrid_id.paper.twin import read_settings
 from hybrid_id.systems.chain import System
 
 TABLE_1 = {"P_m1m1": 19.059e-3, "P_m2m1": 0.0254, "P_m1m2": 42.62e-3, "P_m2m2": 0.0107}
@@ -231,36 +232,48 @@ def compare_controllers(
     step, count = config["sample_time"], len(seeds)
     motion = reference(plan["cases"][case], duration=plan["duration"], sample_time=step, fade=plan["fade"])
     if len(systems) > 1:
-        groups = [(system, system.theta().detach()[:, None].repeat(1, count)) for system in systems.values()]
-        models = tuple(systems)
+        models = {name: (s, s.theta().detach()[:, None].repeat(1, count)) for name, s in systems.items()}
     else:
         (system,) = systems.values()
         inertias = {name: config["truth"][name] for name in INERTIAS if name in config["truth"]}
-        groups = [(system, three_models(system, inertias, plan["inertia_error"], seeds))]
-        models = MODELS
+        variants = three_models(system, inertias, plan["inertia_error"], seeds).split(count, 1)
+        models = {name: (system, theta) for name, theta in zip(MODELS, variants, strict=True)}
     controllers = [
         ComputedTorque(
             system, theta, motion, sample_time=step, bandwidth=plan["bandwidth"], limit=plan["limit"]
         )
-        for system, theta in groups
+        for system, theta in models.values()
     ]
-    ends = np.cumsum([controller.lanes for controller in controllers])
-    lanes = [slice(end - controller.lanes, end) for controller, end in zip(controllers, ends, strict=True)]
     planned = np.concatenate([c.plan[:2, c.rotors].numpy() for c in controllers], axis=-1)
-    plant = Plant(config, list(seeds) * len(models))
+    # all disturbances of the campaigns but that of the start angle
+    twin = read_settings({**config, "disturbances": {**config["disturbances"], "start_angle": 0.0}})
+    own = len(twin.excitation.experiments) + 1
+    generators = [np.random.default_rng([seed, own]) for _ in models for seed in seeds]
+    truths = [twin.draw_truth([0.0] * motion.shape[2], random) for random in generators]
+    machine, x = twin.begin(truths, ripple=True)
+    mode, rotors = machine.initial_mode(x), slice(0, 2 * motion.shape[2], 2)
+    links, ratios = rotors, np.array(twin.gear_ratios)[:, None]
+    if twin.machine == "one_link_flexible":
+        links, ratios = slice(2, 3), 1.0
     # the filter that differentiates the encoder's angle sees the deviation from the planned motion alone, so that the
     # planned speed comes without its lag
     keep = np.exp(-2 * np.pi * plan["cutoff"] * step)
-    last = plant.reading - planned[0, :, 0]
-    drift, angles, voltages = np.zeros_like(last), [], []
+    last = drift = np.zeros_like(x[rotors])
+    angles, voltages = [], []
     for k in range(motion.shape[1]):
-        angles.append(plant.link_angles)
-        q = plant.reading
-        drift = keep * drift + (1.0 - keep) * (q - planned[0, :, k] - last) / step
-        last, v = q - planned[0, :, k], planned[1, :, k] + drift
-        commands = [c.command(k, q[:, own], v[:, own]) for c, own in zip(controllers, lanes, strict=True)]
-        voltages.append(np.concatenate(commands, axis=1))
-        plant.step(voltages[-1])
+        angles.append(x[links] / ratios)
+        readings = [
+            twin.disturbances.read(q, random) for q, random in zip(x[rotors].T, generators, strict=True)
+        ]
+        q = np.array(readings).T
+        deviation = q - planned[0, :, k]
+        drift = keep * drift + (1.0 - keep) * (deviation - last) / step if k else drift
+        last, v = deviation, planned[1, :, k] + drift
+        lanes = zip(controllers, *(np.split(values, len(models), axis=1) for values in (q, v)), strict=True)
+        voltages.append(np.concatenate([c.command(k, angle, speed) for c, angle, speed in lanes], axis=1))
+        torques = np.array([twin.draw_torques(1, random)[:, 0] for random in generators]).T
+        inputs = np.concatenate((voltages[-1], torques))
+        x, mode = advance(machine, x, mode, inputs, step, substeps=twin.substeps)
     angle, voltage = np.array(angles), np.array(voltages)
     error = motion[0][..., None] - angle
 
@@ -269,7 +282,7 @@ def compare_controllers(
         return values.reshape(values.shape[0], len(models), count).swapaxes(0, 1)
 
     return TrackingResult(
-        models,
+        tuple(models),
         time=step * np.arange(motion.shape[1]),
         desired=motion[0],
         angle=angle[..., ::count],

@@ -17,7 +17,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.machines.physics.friction import AsymmetricStribeck, AsymmetricTanh, Viscous
 from hybrid_id.machines.physics.machine import Drive, Machine, OneLink, TwoLinks
 from hybrid_id.machines.physics.motor import Cogging, Motor
-from hybrid_id.machines.physics.stick_slip import StickSlip, advance, integrate
+from hybrid_id.machines.physics.stick_slip import StickSlip, integrate
 from hybrid_id.machines.physics.transmission import BacklashFlexibility, Gear
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import design_multisine
@@ -201,7 +201,7 @@ class Twin(Section, Generic[Ratio, Planned]):
     @property
     def gear_ratios(self) -> tuple[float, ...]:
         """One for each motor."""
-        return tuple(np.atleast_1d(self.gear_ratio).tolist())
+        return tuple(np.atleast_1d(np.asarray(self.gear_ratio)).tolist())
 
     def begin(self, truths: Sequence[Mapping[str, float]], *, ripple: bool) -> tuple[StickSlip, np.ndarray]:
         """The machines of B runs, and their states (n_x, B) at rest at their start angles, no spring deflected.
@@ -421,48 +421,3 @@ def write_campaign(folder: str | Path, config: Mapping[str, Any], seed: int) -> 
     settings = read_settings(config).model_dump(mode="json", exclude_none=True)
     write_yaml(folder / "truth.yaml", {"seed": seed, "records": runs, "settings": settings})
     return dataset, truths
-
-
-class Plant:
-    """Twins under a controller: B runs side by side with all disturbances but that of the start angle, which is zero.
-
-    Args:
-        config: the settings, see `configs/twin_*.yaml`; the experiments are not used.
-        seeds: one for each run, of its drift, random torques and encoder noise.
-
-    Attributes:
-        reading: motor angles of the last sample as the encoders read them [rad], ``(n_joints, B)``.
-    """
-
-    def __init__(self, config: Mapping[str, Any], seeds: Sequence[int]) -> None:
-        calm = {**config, "disturbances": {**config["disturbances"], "start_angle": 0.0}}
-        self._twin = twin = read_settings(calm)
-        self._random = [np.random.default_rng([seed, len(twin.excitation.experiments) + 1]) for seed in seeds]
-        truths = [twin.draw_truth([0.0] * len(twin.kind.motors), random) for random in self._random]
-        self._mechanism, self._x = twin.begin(truths, ripple=True)
-        self._mode = self._mechanism.initial_mode(self._x)
-        self.reading = self._measure()
-
-    @property
-    def link_angles(self) -> np.ndarray:
-        """True joint angles at the links [rad], ``(n_joints, B)``."""
-        if self._twin.machine == "one_link_flexible":
-            return self._x[2:3]
-        return self._x[::2] / np.array(self._twin.gear_ratios)[:, None]
-
-    def step(self, voltages: np.ndarray) -> None:
-        """Hold voltages, ``(n_joints, B)`` [V], for one sample, and measure at its end."""
-        twin = self._twin
-        torques = np.array([twin.draw_torques(1, random)[:, 0] for random in self._random]).T
-        inputs = np.concatenate((voltages, torques))
-        self._x, self._mode = advance(
-            self._mechanism, self._x, self._mode, inputs, twin.sample_time, substeps=twin.substeps
-        )
-        self.reading = self._measure()
-
-    def _measure(self) -> np.ndarray:
-        angles = self._x[: 2 * len(self._twin.kind.motors) : 2]
-        read = self._twin.disturbances.read
-        return np.array(
-            [[read(q, random) for q, random in zip(row, self._random, strict=True)] for row in angles]
-        )

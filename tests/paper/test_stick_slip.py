@@ -85,17 +85,6 @@ def excitation(n_samples: int, runs: int) -> tuple[np.ndarray, np.ndarray]:
     return time, inputs
 
 
-def test_rigid_drive_agrees_with_scipy_events_far_below_the_encoder() -> None:
-    time, inputs = excitation(500, 1)
-    drive = rigid(DRY, **LINK_1)
-    fast = integrate(drive, np.zeros((2, 1)), inputs, time)[:, :, 0]
-    exact = integrate_scipy(drive, np.zeros(2), inputs[:, :, 0], time)
-    assert np.count_nonzero(np.diff(np.sign(exact[:, 1]))) >= 8, "the test needs stick and slip"
-    assert np.any(exact[5:, 1] == 0), "the test needs sticking"
-    assert np.abs(fast - exact)[:, 0].max() < 1e-7 * 2 * np.pi / 2000
-    assert np.abs(fast - exact)[:, 1].max() < 1e-8
-
-
 def test_fourth_order_across_stick_and_slip() -> None:
     time, inputs = excitation(400, 3)
     drive, start = rigid(DRY, **LINK_1), np.zeros((2, 3))
@@ -119,9 +108,9 @@ def test_runs_side_by_side_equal_runs_alone() -> None:
 
 @pytest.mark.parametrize(
     ("stage", "voltages", "substeps", "close"),
-    [("link1_flexible", VOLTAGE, 10, 1e-5), ("both_links", VOLTAGES, 4, 1e-6)],
+    [("link1", VOLTAGE, 10, 1e-9), ("link1_flexible", VOLTAGE, 10, 1e-5), ("both_links", VOLTAGES, 4, 1e-6)],
 )
-def test_spring_and_arm_agree_with_scipy_events(stage: str, voltages, substeps: int, close: float) -> None:
+def test_every_machine_agrees_with_scipy_events(stage: str, voltages, substeps: int, close: float) -> None:
     machine, start = mechanism(stage, ripple=True)
     inputs = with_torques(voltages)
     fast = integrate(machine, start, inputs[:, :, None], TIME, substeps=substeps)[:, :, 0]

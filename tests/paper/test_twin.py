@@ -1,4 +1,4 @@
-"""Twins: what is drawn, what is written, that the truth replays the records, and what controllers see."""
+"""Twins: what is drawn, what is written, that the truth replays the records."""
 
 import copy
 from pathlib import Path
@@ -8,12 +8,9 @@ import pytest
 from paper.twins import config as config_of
 
 from hybrid_id.errors import InputError
-from hybrid_id.machines.physics.stick_slip import integrate
-from hybrid_id.paper.demo import DEMO
 from hybrid_id.paper.twin import (
     DRIFTING,
     KINDS,
-    Plant,
     make_campaign,
     model_description,
     read_settings,
@@ -78,15 +75,6 @@ def test_truth_drifts_run_by_run_within_its_bounds() -> None:
     assert np.abs(np.corrcoef(ratios[:, drifting].T) - np.eye(5)).max() < 0.6, "each factor is its own"
 
 
-def test_without_disturbances_only_rounding_is_left(short: dict) -> None:
-    short["disturbances"] |= {"torque_noise": 0.0, "encoder_noise": 0.0, "torque_ripple": None}
-    dataset, truths = make_campaign(short, 1)
-    for record, output in zip(dataset, replay(short, dataset.records, truths), strict=True):
-        assert np.abs(record.outputs["q_m1"] - output["q_m1"]).max() <= np.pi / 128 * (1 + 1e-9)
-        gradient = np.gradient(output["q_m1"], 0.002)
-        assert np.abs(gradient - output["v_m1"])[5:-5].max() < 4
-
-
 @pytest.mark.parametrize("stage", STAGES)
 def test_stage_repeats_by_seed_and_its_truth_replays_it(stage: str) -> None:
     config = brief(stage)
@@ -136,11 +124,6 @@ def test_folder_holds_records_models_and_truth(short: dict, tmp_path: Path) -> N
     assert {name for name, entry in with_priors.items() if "prior_std" in entry} == {"P_m1", "P_m2"}
 
 
-def test_demo_is_ready_to_identify(tmp_path: Path) -> None:
-    dataset, truths = write_campaign(tmp_path / "demo", DEMO, 0)
-    assert len(dataset.train) == 5 and len(dataset.test) == 1 and len(truths) == 6
-
-
 @pytest.mark.parametrize(
     ("stage", "change", "words"),
     [
@@ -170,24 +153,3 @@ def test_bad_settings_are_refused_in_one_sentence(stage: str, change, words: str
     with pytest.raises(InputError, match=words) as caught:
         make_campaign(config, 0)
     assert "\n" not in str(caught.value) and str(caught.value).startswith("settings of the twin: key")
-
-
-def test_a_plant_repeats_by_seed_and_steps_as_the_campaigns_do() -> None:
-    config = config_of("both_links") | {"substeps": 2}
-    plants = Plant(config, [3, 4]), Plant(config, [4])
-    for k in range(20):
-        for plant in plants:
-            plant.step(np.repeat([[6.0], [2.0]], len(plant.reading.T), 1) * np.cos(0.1 * k))
-        np.testing.assert_allclose(plants[0].reading[:, 1:], plants[1].reading, atol=1e-9)
-    assert np.any(plants[0].reading[:, 0] != plants[0].reading[:, 1])
-    config["disturbances"] |= {"torque_noise": 0.0, "encoder_noise": 0.0, "friction_drift": 0.0}
-    plant, twin = Plant(config, [0]), read_settings(config)
-    readings, inputs = [plant.reading], np.zeros((31, 4, 1))
-    inputs[:, 0, 0], inputs[:, 1, 0] = 6 * np.cos(0.1 * np.arange(31)), 2 * np.cos(0.1 * np.arange(31))
-    for k in range(30):
-        plant.step(inputs[k, :2])
-        readings.append(plant.reading)
-    machine, start = twin.begin([config["truth"]], ripple=True)
-    states = integrate(machine, start, inputs, 0.002 * np.arange(31), substeps=2)[:, ::2]
-    np.testing.assert_allclose(plant.link_angles * [[156.0], [84.0]], states[-1], atol=1e-12)
-    assert np.abs(np.array(readings) - states).max() <= np.pi / 128 + 1e-9

@@ -7,7 +7,6 @@ sliding joint through zero speed is cut at the instant of the crossing, found on
 sticks, reverses or goes on, and the rest of the step follows in the new mode. So the order is kept at every switch.
 """
 
-from dataclasses import fields, is_dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -58,12 +57,6 @@ class StickSlip:
         )
         self.lone: list[list[Any]] = [[first.rotor + link]]  # inertia of a rotor without a second joint
 
-    def take(self, lanes: np.ndarray) -> "StickSlip":
-        """The same machine for a selection of the runs."""
-        machine = self.machine
-        drives, links = ([_taken(drive, lanes) for drive in self.drives], _taken(machine.links, lanes))
-        return type(self)(Machine(drives, links, substeps=machine.substeps))
-
     def rate(self, x: np.ndarray, mode: np.ndarray, u: np.ndarray) -> np.ndarray:
         """State derivative (n_x, B) in the given mode, smooth even where the mode just ceases to hold."""
         pushes, mass = self._acting(x, u)
@@ -103,14 +96,9 @@ class StickSlip:
         x = x.copy()
         x[1 : 2 * len(self.at) : 2][at_rest] = 0.0
         pushes, mass = self._acting(x, u)
-        if len(self.at) == 1:
-            held = self._motion(pushes, mass, x, np.zeros_like(mode))[1][0]
-            forwards, backwards = ((1 + HYSTERESIS) * limit for limit in (pushes[0].plus, pushes[0].minus))
-            side = (held > forwards) * 1.0 - (held < -backwards)
-            return x, np.where(at_rest, side, mode)
         best, most = mode, np.full(x.shape[1], -np.inf)
-        for pair in product((0.0, 1.0, -1.0), repeat=2):
-            trial = np.where(at_rest, np.array(pair)[:, None], mode)
+        for sides in product((0.0, 1.0, -1.0), repeat=len(self.at)):
+            trial = np.where(at_rest, np.array(sides)[:, None], mode)
             accelerations, held = self._motion(pushes, mass, x, trial)
             fit = [
                 np.where(side == 0, _room(push, torque), side * a * mass[i][i])
@@ -172,18 +160,6 @@ def _room(push: Push, held: np.ndarray) -> np.ndarray:
     return np.minimum((1 + HYSTERESIS) * push.plus - held, (1 + HYSTERESIS) * push.minus + held)
 
 
-def _taken(value: Any, lanes: np.ndarray) -> Any:
-    """A value, a list of them, or a dataclass of them, for a selection of the runs."""
-    if isinstance(value, np.ndarray):
-        return value[lanes] if value.ndim else value
-    if isinstance(value, list | tuple):
-        return [_taken(one, lanes) for one in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        own = {f.name: getattr(value, f.name) for f in fields(value) if not f.name.startswith("_")}
-        return replace(value, **{name: _taken(one, lanes) for name, one in own.items()})
-    return value
-
-
 def integrate(
     system: StickSlip, start: np.ndarray, inputs: np.ndarray, time: np.ndarray, *, substeps: int = 10
 ) -> np.ndarray:
@@ -231,23 +207,8 @@ def _runge_kutta(system: StickSlip, x: np.ndarray, mode: np.ndarray, u: np.ndarr
 def _step(
     system: StickSlip, x: np.ndarray, mode: np.ndarray, u: np.ndarray, h: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of all runs; the few with a switch in it are cut at the switch and completed on their own."""
-    after = _runge_kutta(system, x, mode, u, h)
-    switching = (system.guards(after, mode, u) < 0).any(axis=0)
-    if not switching.any():
-        return after, mode
-    lanes = np.flatnonzero(switching)
-    mode = mode.copy()
-    after[:, lanes], mode[:, lanes] = _step_with_switches(
-        system.take(lanes), x[:, lanes], mode[:, lanes], u[:, lanes], np.full(lanes.size, h)
-    )
-    return after, mode
-
-
-def _step_with_switches(
-    system: StickSlip, x: np.ndarray, mode: np.ndarray, u: np.ndarray, remaining: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Go through the remaining time (B,) of each run, from switch to switch."""
+    """One step of all runs, each from switch to switch; one without a switch left has no time left either."""
+    remaining = np.full(x.shape[1], h)
     for _ in range(MAX_SWITCHES):
         whole = _runge_kutta(system, x, mode, u, remaining)
         switching = system.guards(whole, mode, u).min(axis=0) < 0
@@ -256,8 +217,8 @@ def _step_with_switches(
         elapsed = _first_switch(system, x, mode, u, remaining, whole)
         x = _runge_kutta(system, x, mode, u, elapsed)
         guards = system.guards(x, mode, u)
-        fired = (np.arange(len(guards))[:, None] == guards.argmin(axis=0)) & switching
-        x, mode = system.solve_sticking(x, mode, u, fired | (mode == 0))
+        fired = np.arange(len(guards))[:, None] == guards.argmin(axis=0)
+        x, mode = system.solve_sticking(x, mode, u, (fired | (mode == 0)) & switching)
         remaining = remaining - elapsed
     raise RuntimeError(f"more than {MAX_SWITCHES} switches between stick and slip within one step")
 
