@@ -255,27 +255,20 @@ def claims(stages: Mapping[str, StageResult], tracking: Mapping[str, TrackingRes
     )
     what = "Table 12: std/mean of P_2 is worst at low velocity"
     found.append(Claim(what, "worst", seen, "low" in inertia.index[inertia.percent.argmax()]))
-    return found + [claim for case, result in tracking.items() for claim in _of_tracking(case, result)]
-
-
-def _of_tracking(case: str, result: TrackingResult) -> list[Claim]:
-    """Errors of the closed loops with several feedforward models."""
-    if case == "backlash":
-        ratio = result.rms[1] / result.rms[0]
-        what = "Fig. 5: error with backlash model / with rigid model"
-        return [Claim(what, "<= 0.5", f"{ratio.mean():.3f} ± {ratio.std():.3f}", bool((ratio <= 0.5).all()))]
-    found = []
-    for j in range(result.rms.shape[1]):
-        means = " > ".join(f"{1e3 * m.mean():.2f} ± {1e3 * m.std():.2f}" for m in result.rms[:, j])
-        pairs = list(zip(result.rms[:-1, j], result.rms[1:, j], strict=True))
-        p = [float(ttest_rel(more, less, alternative="greater").pvalue) for more, less in pairs]
-        seeds = [f"{np.sum(more > less)} of {len(more)}" for more, less in pairs]
-        found.append(
-            Claim(
-                f"{'One link' if case == 'one_link' else 'Both links'}, joint {j + 1}: RMS error [mrad]",
-                "MM > IFLRM > IFRM, paired over seeds, p < 0.05",
-                f"{means}; p = {p[0]:.2g} (larger in {seeds[0]} seeds) and {p[1]:.2g} ({seeds[1]})",
-                max(p) < 0.05,
-            )
-        )
+    for case, result in tracking.items():
+        if case == "backlash":
+            ratio = result.rms[1] / result.rms[0]
+            what = "Fig. 5: error with backlash model / with rigid model"
+            seen = f"{ratio.mean():.3f} ± {ratio.std():.3f}"
+            found.append(Claim(what, "<= 0.5", seen, bool((ratio <= 0.5).all())))
+            continue
+        for j in range(result.rms.shape[1]):
+            means = " > ".join(f"{1e3 * m.mean():.2f} ± {1e3 * m.std():.2f}" for m in result.rms[:, j])
+            pairs = list(zip(result.rms[:-1, j], result.rms[1:, j], strict=True))
+            p = [float(ttest_rel(more, less, alternative="greater").pvalue) for more, less in pairs]
+            larger = [f"{np.sum(more > less)} of {len(more)}" for more, less in pairs]
+            what = f"{'One link' if case == 'one_link' else 'Both links'}, joint {j + 1}: RMS error [mrad]"
+            seen = f"{means}; p = {p[0]:.2g} (larger in {larger[0]} seeds) and {p[1]:.2g} ({larger[1]})"
+            target = "MM > IFLRM > IFRM, paired over seeds, p < 0.05"
+            found.append(Claim(what, target, seen, max(p) < 0.05))
     return found

@@ -41,7 +41,6 @@ class StageResult:
     """One stage: n sets of p parameters, s signals.
 
     Attributes:
-        title: of the stage.
         names: estimated parameters (p).
         units: theirs.
         values: estimates ``(n, p)``.
@@ -60,7 +59,6 @@ class StageResult:
         failed: sets that did not converge, and why.
     """
 
-    title: str
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Array
@@ -157,7 +155,6 @@ def run_stage(
     chosen, names, told = study.selection.index, study.names, study.identifiability
     either = (study.covariances[chosen], study.robust[chosen])
     result = StageResult(
-        title=plan["title"],
         names=names,
         units=study.selected.units,
         values=study.values,

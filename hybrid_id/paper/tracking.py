@@ -167,7 +167,6 @@ class TrackingResult:
         time: ``(T,)`` s.
         desired: joint angles ``(T, j)`` rad.
         angle: of the first seed ``(T, j, m)`` rad.
-        voltage: of the first seed ``(T, j, m)`` V.
         rms: ``(m, j, n)`` rad.
         peak: ``(m, j, n)`` rad.
         saturated: share of samples at the limit, ``(m, j, n)``.
@@ -177,7 +176,6 @@ class TrackingResult:
     time: Array
     desired: Array
     angle: Array
-    voltage: Array
     rms: Array
     peak: Array
     saturated: Array
@@ -286,7 +284,6 @@ def compare_controllers(
         time=step * np.arange(motion.shape[1]),
         desired=motion[0],
         angle=angle[..., ::count],
-        voltage=voltage[..., ::count],
         rms=by_model(np.sqrt(np.mean(error**2, 0))),
         peak=by_model(np.abs(error).max(0)),
         saturated=by_model(np.mean(np.abs(voltage) >= plan["limit"] * (1 - 1e-9), 0)),

@@ -12,7 +12,6 @@ class Viscous(Law):
     """``F_v v`` [N m s/rad]."""
 
     F_v: Lanes
-    smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
         push.slope = push.slope + self.F_v
@@ -23,7 +22,6 @@ class Coulomb(Law):
     """``F_c Sgn(v)``, set-valued at rest [N m]."""
 
     F_c: Lanes
-    smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
         push.dry(self.F_c)
@@ -40,7 +38,6 @@ class Stribeck(Law):
     drop: Lanes
     v_s: Lanes
     shape: str = "gaussian"
-    smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
         ratio = np.abs(self.speed(x)) / self.v_s
@@ -77,7 +74,6 @@ class AsymmetricStribeck(Law):
     f_22: Lanes
     f_23: Lanes
     f_24: Lanes
-    smooth = True
 
     def __post_init__(self) -> None:
         self._rises = (self.f_12 - self.f_11, self.f_22 - self.f_21)
@@ -109,7 +105,6 @@ class AsymmetricTanh(Law):
     f_a1: Lanes
     f_a2: Lanes
     on_link: bool = True
-    smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
         v = self.speed(x)

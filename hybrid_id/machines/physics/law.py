@@ -67,12 +67,10 @@ class Law:
     Attributes:
         on_link: whether it acts on the link, where speed and torque are those of the joint.
         needs_carried: whether it reads the torque through the gear.
-        smooth: whether it has neither memory nor kinks but at zero speed, so that `stick_slip` can step it.
     """
 
     on_link = False
     needs_carried = False
-    smooth = False
 
     def start(self, lanes: int) -> None:
         """Set the states of B runs to rest."""

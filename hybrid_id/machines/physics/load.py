@@ -13,7 +13,6 @@ class Gravity(Law):
 
     G: Lanes
     q_0: Lanes = 0.0
-    smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
         push.torque = push.torque - self.G * np.sin(x.q_a - self.q_0)

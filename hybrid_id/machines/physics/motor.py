@@ -80,7 +80,6 @@ class Cogging(Law):
     amplitudes: Sequence[Lanes]
     periods: Sequence[float]
     phases: Sequence[float]
-    smooth = True
 
     def act(self, push: Push, x: Signals) -> None:
         for amplitude, periods, phase in zip(self.amplitudes, self.periods, self.phases, strict=True):

@@ -43,13 +43,7 @@ class Gear:
 
 
 class Spring:
-    """A connection with torque of its own between the gear's end and the link, at the link's side.
-
-    Attributes:
-        smooth: as of a `Law`.
-    """
-
-    smooth = False
+    """A connection with torque of its own between the gear's end and the link, at the link's side."""
 
     def start(self, lanes: int) -> None:
         """Set the states of B runs to rest."""
@@ -85,7 +79,6 @@ class BacklashFlexibility(Spring):
     k: Lanes
     alpha: Lanes
     beta: Lanes
-    smooth = True
 
     def torque(self, twist: np.ndarray, rate: np.ndarray | float = 0.0, step: float = 0.0) -> np.ndarray:
         sharp = np.abs(self.beta * twist)
