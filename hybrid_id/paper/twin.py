@@ -8,7 +8,7 @@ reason nothing here may know the models.
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
@@ -32,35 +32,13 @@ LEVELS = ("f_11", "f_12", "f_13", "f_14", "f_21", "f_22", "f_23", "f_24")
 SPRING, LINK_FRICTION = ("k", "alpha", "beta"), ("f_a1", "f_a2")
 
 
-class Kind(NamedTuple):
-    """What one kind of machine is made of.
-
-    Attributes:
-        motors: what is appended to the names of each motor's own parameters.
-        rows: its states, angles and speeds by name; `_m` at a motor, `_a` at a link.
-        parameters: their names, in the order of the paper's table.
-    """
-
-    motors: tuple[str, ...]
-    rows: tuple[str, ...]
-    parameters: tuple[str, ...]
-
-
-_RIGID, _ARM = (*MOTOR, *LEVELS, "f_3"), ("m1", "m2")
-KINDS = {
-    "one_link": Kind(("",), ("q_m1", "v_m1"), ("J", *_RIGID)),
-    "one_link_flexible": Kind(
-        ("",),
-        ("q_m1", "v_m1", "q_a1", "v_a1"),
-        ("J_m", "J_a", *MOTOR, *LINK_FRICTION, *SPRING, *LEVELS, "f_3"),
-    ),
-    "two_link": Kind(
-        _ARM,
-        ("q_m1", "v_m1", "q_m2", "v_m2"),
-        (*(name + motor for motor in _ARM for name in _RIGID), "P_1", "P_2", "P_3", "P_4"),
-    ),
+_RIGID = (*MOTOR, *LEVELS, "f_3")
+PARAMETERS = {
+    "one_link": ("J", *_RIGID),
+    "one_link_flexible": ("J_m", "J_a", *MOTOR, *LINK_FRICTION, *SPRING, *LEVELS, "f_3"),
+    "two_link": (*(name + motor for motor in ("m1", "m2") for name in _RIGID), "P_1", "P_2", "P_3", "P_4"),
 }
-"""The machines, by their names here and in model files."""
+"""Parameters of each machine, by its name here and in model files, in the order of the paper's table."""
 DRIFTING = ("f_11", "f_12", "f_21", "f_22", "f_3")
 """What wears, warms and settles from run to run, beside the friction of a link."""
 SIGNED = ("f_13", "f_23")
@@ -194,9 +172,9 @@ class Twin(Section, Generic[Ratio, Planned]):
     model: Knowledge
 
     @property
-    def kind(self) -> Kind:
-        """The kind of machine."""
-        return KINDS[self.machine]
+    def motors(self) -> tuple[str, ...]:
+        """What is appended to the names of each motor's own parameters."""
+        return ("m1", "m2") if self.machine == "two_link" else ("",)
 
     @property
     def gear_ratios(self) -> tuple[float, ...]:
@@ -217,10 +195,10 @@ class Twin(Section, Generic[Ratio, Planned]):
             truths: parameters and start angles (0 where absent) of each run.
             ripple: whether the motors have their torque ripple.
         """
-        p = {name: np.array([truth[name] for truth in truths]) for name in self.kind.parameters}
+        p = {name: np.array([truth[name] for truth in truths]) for name in PARAMETERS[self.machine]}
         wave = self.disturbances.torque_ripple if ripple else None
         drives = []
-        for motor, ratio in zip(self.kind.motors, self.gear_ratios, strict=True):
+        for motor, ratio in zip(self.motors, self.gear_ratios, strict=True):
             drive = Drive(Gear(ratio), 0.0, Motor(p["P_m1" + motor], p["P_m2" + motor]))
             dry = AsymmetricStribeck(**{name: p[name + motor] for name in LEVELS})
             drive.rotor_laws = [dry, Viscous(p["f_3" + motor])]
@@ -238,8 +216,8 @@ class Twin(Section, Generic[Ratio, Planned]):
             links = OneLink(p["J_a"])
         else:
             drives[0].rotor, links = p["J"], OneLink(0.0)
-        start = np.zeros((len(self.kind.rows), len(truths)))
-        for i, motor in enumerate(self.kind.motors):
+        start = np.zeros((2 if self.machine == "one_link" else 4, len(truths)))
+        for i, motor in enumerate(self.motors):
             start[2 * i] = [truth.get(f"q_0{motor}", 0.0) for truth in truths]
         if self.machine == "one_link_flexible":
             start[2] = start[0] / self.gear_ratio
@@ -249,16 +227,16 @@ class Twin(Section, Generic[Ratio, Planned]):
         """Parameters of one run, drifted, and the start angle of each motor."""
         truth = dict(self.truth)
         drift, limit = self.disturbances.friction_drift, self.disturbances.start_angle
-        of_motors = [name + motor for motor in self.kind.motors for name in DRIFTING]
+        of_motors = [name + motor for motor in self.motors for name in DRIFTING]
         for name in (*of_motors, *(name for name in LINK_FRICTION if name in truth)):
             truth[name] *= random.uniform(1 - drift, 1 + drift)
-        for motor, angle, ratio in zip(self.kind.motors, pose, self.gear_ratios, strict=True):
+        for motor, angle, ratio in zip(self.motors, pose, self.gear_ratios, strict=True):
             truth[f"q_0{motor}"] = ratio * angle + random.uniform(-limit, limit)
         return truth
 
     def draw_torques(self, n_samples: int, random: np.random.Generator) -> np.ndarray:
         """Random torques (n_motors, T) of one run [N m]."""
-        levels = np.array([[self.truth["f_11" + motor]] for motor in self.kind.motors])
+        levels = np.array([[self.truth["f_11" + motor]] for motor in self.motors])
         scale = self.disturbances.torque_noise * levels
         return random.normal(scale=scale, size=(len(levels), n_samples))
 
@@ -266,13 +244,13 @@ class Twin(Section, Generic[Ratio, Planned]):
 def read_settings(config: Mapping[str, Any]) -> Twin[Any, Any]:
     """Check the settings of a twin; the first fault is an InputError that names its key."""
     machine, source = config.get("machine", "one_link"), "settings of the twin"
-    if not isinstance(machine, str) or machine not in KINDS:
-        raise InputError(f"{source}: key 'machine' is {machine!r}; use one of {', '.join(KINDS)}")
+    if not isinstance(machine, str) or machine not in PARAMETERS:
+        raise InputError(f"{source}: key 'machine' is {machine!r}; use one of {', '.join(PARAMETERS)}")
     arm, one = Twin[tuple[PositiveFloat, PositiveFloat], ArmExperiment], Twin[PositiveFloat, Experiment]
     twin = validate(arm if machine == "two_link" else one, config, source)
     if twin.duration < twin.rest + 10 * twin.sample_time:
         raise InputError(f"{source}: key 'duration' must be longer than rest by ten samples or more")
-    names = KINDS[machine].parameters
+    names = PARAMETERS[machine]
     for section, given in (("truth", twin.truth), ("model.parameters", twin.model.parameters)):
         for name in given:
             if name not in names:
@@ -316,7 +294,7 @@ def model_description(config: Mapping[str, Any], seed: int, *, priors: bool = Fa
         entry.pop("estimate" if priors and "prior_std" in known else "prior_std", None)
     friction = ("asymmetric_stribeck", (*LEVELS, "f_3"))
     places: list[tuple[str, str, tuple[str, ...], str]] = [
-        (f"joint{i}/motor_friction", *friction, motor) for i, motor in enumerate(twin.kind.motors, start=1)
+        (f"joint{i}/motor_friction", *friction, motor) for i, motor in enumerate(twin.motors, start=1)
     ]
     if twin.machine == "one_link_flexible":
         places.append(("joint1/transmission", "backlash_flexibility", SPRING, ""))
@@ -345,7 +323,7 @@ def make_campaign(config: Mapping[str, Any], seed: int) -> tuple[Dataset, list[T
         The dataset (u1, u2 in V; q_m1, q_m2 in rad; records run_00, run_01, ...), and for each record its own truth.
     """
     twin = read_settings(config)
-    plans, count = twin.excitation.experiments, len(twin.kind.motors)
+    plans, count = twin.excitation.experiments, len(twin.motors)
     n_rest, n_samples = round(twin.rest / twin.sample_time), round(twin.duration / twin.sample_time)
     inputs = np.zeros((len(plans), 2 * count, n_samples))  # voltages, then random torques
     generators = [np.random.default_rng([seed, i]) for i in range(len(plans))]
@@ -396,11 +374,12 @@ def replay(
         For each record the noise-free states: angles q_m1, ... [rad] and speeds v_m1, ... [rad/s], each (T,).
     """
     twin = read_settings(config)
-    voltages = np.array([[r.inputs[f"u{i + 1}"] for i in range(len(twin.kind.motors))] for r in records])
+    voltages = np.array([[r.inputs[f"u{i + 1}"] for i in range(len(twin.motors))] for r in records])
     inputs = np.concatenate((voltages, np.zeros_like(voltages)), axis=1).transpose(2, 1, 0)
     mechanism, start = twin.begin(truths, ripple=False)
     states = integrate(mechanism, start, inputs, records[0].time, substeps=twin.substeps)
-    return [dict(zip(twin.kind.rows, run, strict=True)) for run in states.transpose(2, 1, 0)]
+    rows = ("q_m1", "v_m1", *(("q_m2", "v_m2") if len(twin.motors) > 1 else ("q_a1", "v_a1")))
+    return [dict(zip(rows, run, strict=False)) for run in states.transpose(2, 1, 0)]
 
 
 def write_campaign(folder: str | Path, config: Mapping[str, Any], seed: int) -> tuple[Dataset, list[Truth]]:

@@ -10,7 +10,7 @@ from paper.twins import config as config_of
 from hybrid_id.errors import InputError
 from hybrid_id.paper.twin import (
     DRIFTING,
-    KINDS,
+    PARAMETERS,
     make_campaign,
     model_description,
     read_settings,
@@ -23,7 +23,7 @@ from hybrid_id.systems.model_file import ModelFile, build_model
 
 STAGES = ("link1", "link1_flexible", "link2_high", "link2_low", "both_links")
 CONFIG = config_of("link1")
-PARAMETERS = KINDS["one_link"].parameters
+NAMES = PARAMETERS["one_link"]
 
 
 @pytest.fixture
@@ -67,8 +67,8 @@ def test_records_are_as_the_settings_say(short: dict) -> None:
 def test_truth_drifts_run_by_run_within_its_bounds() -> None:
     twin = read_settings(CONFIG)
     truths = [twin.draw_truth((0.0,), np.random.default_rng(seed)) for seed in range(40)]
-    ratios = np.array([[truth[name] / CONFIG["truth"][name] for name in PARAMETERS] for truth in truths])
-    drifting = np.isin(PARAMETERS, DRIFTING)
+    ratios = np.array([[truth[name] / CONFIG["truth"][name] for name in NAMES] for truth in truths])
+    drifting = np.isin(NAMES, DRIFTING)
     assert np.all(ratios[:, ~drifting] == 1)
     assert np.all(np.abs(ratios[:, drifting] - 1) <= 0.03)
     assert np.all(ratios[:, drifting].std(axis=0) > 0.01)
