@@ -17,7 +17,7 @@ STAGES = {
     "hybrid_id.diagnosis.diagnose": "measure Measured search freeze Answer reported",
     "hybrid_id.diagnosis.fits": "Fits",
     "hybrid_id.identification.keep": "Kept",
-    "hybrid_id.diagnosis.screen": "selection_step screen fit_finalists SelectionStep",
+    "hybrid_id.diagnosis.screen": "selection_step screen SelectionStep",
     "hybrid_id.diagnosis.select": "select Selection",
     "hybrid_id.diagnosis.grade": "grade Grade RatedEffect",
     "hybrid_id.diagnosis.locate": "locate Location disturbances Disturbance",
