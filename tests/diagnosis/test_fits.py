@@ -15,7 +15,6 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 import hybrid_id.diagnosis.fits as module
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FULL, Fits, Task, bounded, engine, predicted, without_priors
 from hybrid_id.diagnosis.model import FittedModel
@@ -25,7 +24,6 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.step import Engine
 
 
 def disturbed(dataset: Dataset, name: str, seed: int = 1) -> Dataset:
@@ -146,35 +144,6 @@ def test_what_lacks_something_is_held_as_a_data_sheet_holds_it() -> None:
     assert again["J"].prior_std is None and again["P_m1"].prior_std == 0.001
 
 
-@pytest.mark.parametrize(
-    ("predicted", "chosen"),
-    [((2.0, 2.1, 1.0, 1.5), 2), ((1.0, 2.0, 0.985, 3.0), 0), ((4.0, 3.0, 2.0, 1.0), 3)],
-)
-def test_parameters_are_held_as_closely_as_predicts_best_even_behind_a_worse_one(
-    monkeypatch: pytest.MonkeyPatch, predicted: tuple[float, ...], chosen: int
-) -> None:
-    """Errors of records left out scatter from one prior to the next; and the lower of the first two ends goes on."""
-    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    fits, tasks = Fits(dataset), list[Task]()
-    free = fits.run([Task((), nominal)], FULL)[0]
-    assert free is not None
-
-    def run(some: list[Task], iterations: int) -> list[FittedModel | None]:
-        tasks.extend(some)
-        lost = len(tasks) == 1  # the first end, from the nominal values, errs clearly more
-        blocks = np.full_like(free.validation.blocks, 9.0 if lost else predicted[len(tasks) - 2])
-        found = replace(free.validation, blocks=blocks * free.validation.sizes)
-        residual = [(2.0 if lost else 1.0) * row for row in free.result.residual]
-        result = replace(free.result, system=some[0].system, cost=2.0 if lost else 1.0, residual=residual)
-        return [replace(free, result=result, validation=found)]
-
-    monkeypatch.setattr(fits, "run", run)
-    held = fits._base_with_priors(nominal, free)
-    assert held is not None and len(tasks) == 1 + len(predicted)
-    assert held.validation.typical == pytest.approx(predicted[chosen])
-    assert held.system is tasks[chosen + 1].system
-
-
 def test_a_right_model_is_held_by_nothing() -> None:
     dataset, nominal = small_case()
     base = Fits(dataset).base(nominal)
@@ -251,32 +220,6 @@ def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyP
     together, in_turn = fits.run(some, 1), Fits(dataset).run(some, 1)
     assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
     assert fits.jobs == 1
-
-
-def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where fits are shared, an effect of the user's own is registered in the first process alone."""
-    told = []
-
-    def nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bool) -> None:
-        told.append(halting)
-        raise RuntimeError("this is all that was asked")
-
-    class Elsewhere:
-        def __init__(self, **_: object) -> None:
-            pass
-
-        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
-            for function, args, named in calls:
-                with monkeypatch.context() as there:
-                    for name in list(CATALOGUE):
-                        there.delitem(CATALOGUE, name)
-                    yield function(*args, **named)
-
-    dataset, nominal = small_case()
-    monkeypatch.setattr(module, "_nearest", nearest)
-    monkeypatch.setattr(module, "Parallel", Elsewhere)
-    Fits(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), nominal), Task((), nominal)], 10)
-    assert told == [True, False]
 
 
 def test_a_fit_over_long_windows_also_begins_where_one_over_short_ones_has_ended() -> None:

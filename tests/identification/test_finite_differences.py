@@ -11,8 +11,6 @@ from drives import batch_of, multisine, rigid_drive
 from hybrid_id.components import Backlash, Delay, Gravity, Viscous
 from hybrid_id.errors import InputError
 from hybrid_id.identification.finite_differences import (
-    DAMPINGS,
-    Cost,
     Rollouts,
     finite_difference_fit,
     slopes_at,
@@ -71,23 +69,6 @@ def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
     assert set(near.parameters) == {(i.component, i.symbol) for i in plain.table if i.spec.estimate}
     # further steps of the look simulate no slope anew, and come to where the fit comes to
     assert finite_difference_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
-
-
-def test_slopes_that_are_known_are_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From all records' slopes one record alone is fitted by steps alone, to a small part of a standard error."""
-    batch = measured(rigid_drive(), DRY)
-    all_of_them = finite_difference_fit(rigid_drive(), batch, engine=DRY, iterations=20)
-    slopes = slopes_at(all_of_them.system, batch, DRY, all_of_them.x0)
-    one, start = batch.take(torch.tensor([1])), all_of_them.system
-    settings = {"engine": DRY, "iterations": 8, "x0": all_of_them.x0[1:]}
-    anew = finite_difference_fit(start, one, **settings)
-    lanes, run = [], Rollouts.residuals
-    monkeypatch.setattr(Rollouts, "residuals", lambda *a: lanes.append(len(a[1])) or run(*a))
-    again = finite_difference_fit(start, one, near=slopes.of_rows(np.array([1])), tangents=False, **settings)
-    assert set(lanes[1:]) == {len(DAMPINGS)}
-    flat = anew.jacobian[0].reshape(-1, len(anew.names))
-    std = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)))
-    assert (np.abs(again.values - anew.values) < 0.1 * std).all()
 
 
 def test_a_fit_that_gains_little_beyond_noise_ends() -> None:
@@ -205,23 +186,6 @@ def test_priors_hold_what_the_records_do_not_tell() -> None:
     assert found.system.parameter(name).spec.value == pytest.approx(spec.value, rel=0.01)
 
 
-def test_what_is_held_stays_held_without_a_part() -> None:
-    truth = rigid_drive(Viscous(F_v=5e-5))
-    inputs = {"u1": np.stack([multisine(k, samples=400, rest=20) for k in range(3)])}
-    batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
-    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
-    run[2] *= 1.2  # another machine
-    batch = replace(batch, y=run, weight=torch.full_like(run, 1.0 / NOISE))
-    specs = {i.name: i.spec for i in truth.table if i.spec.estimate}
-    tight = {n: replace(s, prior_mean=s.value, prior_std=1e-8 * s.value) for n, s in specs.items()}
-    errors = [
-        sum(float(np.square(r).sum()) for r in one)
-        for whole in (finite_difference_fit(truth.with_specs(tight), batch, engine=DRY),)
-        for one in (whole.residual, leave_one_out(whole, batch, 4))
-    ]
-    assert errors[1] == pytest.approx(errors[0], rel=1e-6)
-
-
 def test_perturbed_restarts_never_ends_higher_and_says_the_same_again() -> None:
     truth = loose_drive(0.03)
     batch = measured(truth, Rollouts(truth, measured(truth, QUICK), QUICK, [0]).engine)
@@ -273,38 +237,3 @@ def test_sensitivities_are_those_of_a_fit_whose_first_states_follow() -> None:
         own = np.sqrt(sum(np.square(j[..., k]).sum() for j in again.jacobian))
         assert own == pytest.approx(size, rel=0.05), name
         assert own < np.sqrt(sum(np.square(j[..., k]).sum() for j in held.jacobian))
-
-
-def test_first_states_follow_the_parameters() -> None:
-    """Row by row: a parameter moves all rows, a first state its own, and a prior is one measurement more."""
-    system, rng = rigid_drive(), np.random.default_rng(0)
-    batch = measured(system, DRY)
-    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
-    n_f, rows = cost.n_f, batch.rows
-    slopes = rng.standard_normal((rows, n_f + len(cost.states), 40))
-    along, follow = cost.eliminated(slopes)
-    step = rng.standard_normal(n_f)
-    shift = (follow @ step).reshape(len(cost.states), rows)
-    for row in range(rows):
-        starts = np.vstack([slopes[row, n_f:].T, np.diag(1.0 / cost.std[:, row])])
-        by_values = np.vstack([slopes[row, :n_f].T, np.zeros((len(cost.states), n_f))])
-        least = np.linalg.lstsq(starts, -by_values @ step, rcond=None)[0]
-        np.testing.assert_allclose(shift[:, row], least, atol=1e-10)
-        np.testing.assert_allclose(step @ along[row], (by_values @ step + starts @ least)[:40], atol=1e-10)
-
-
-def test_a_step_is_that_of_all_rows_together() -> None:
-    system, rng = rigid_drive(), np.random.default_rng(2)
-    batch = measured(system, DRY)
-    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
-    point, rows = cost.point(cost.start, cost.measured), batch.rows
-    slopes = 1e-3 * rng.standard_normal((rows, cost.n_f + len(cost.states), 400))
-    residual = 1e-9 * rng.standard_normal((rows, 400))
-    whole = np.zeros((rows * 400, len(point)))
-    for row, place in enumerate(cost.places):
-        whole[400 * row : 400 * (row + 1), place] = slopes[row].T
-    hessian = whole.T @ whole + np.diag(cost.precision)
-    gradient = whole.T @ residual.ravel() + cost.precision * (point - cost.mean)
-    damped = hessian + 0.1 * np.diag(np.diag(hessian))
-    taken = cost.steps(point, residual, slopes, np.array([0.1]))[0] - point
-    np.testing.assert_allclose(taken, -np.linalg.solve(damped, gradient), rtol=1e-6, atol=1e-15)

@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,13 +18,10 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit, fit_records, make_bounds, start_points
 from hybrid_id.identification.least_squares import (
     PATIENCE,
-    LeastSquares,
     Options,
     comes_to_nothing,
-    minimise,
 )
 from hybrid_id.identification.objective import Loss
-from hybrid_id.identification.result import sensitivities
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
@@ -155,17 +151,6 @@ def test_start_points_stay_inside_and_begin_with_the_given_one() -> None:
     # a set that another process fits starts where it would have started beside the others
     alone = start_points(system, free, make_bounds(system, free), [1], 4, 0.5, 0)
     torch.testing.assert_close(alone, points[:, 1::2])
-
-
-def test_order_of_the_free_parameters_does_not_matter(batch: Batch) -> None:
-    free = [k for k, i in enumerate(TRUTH.table) if i.spec.estimate]
-    theta = (TRUTH.theta().detach() * 1.1)[:, None]
-    sets = torch.zeros(batch.rows, dtype=torch.long)
-    ends = [
-        minimise(LeastSquares(TRUTH, Engine(), batch, sets, order, make_bounds(TRUTH, order)), theta).theta
-        for order in (free, free[::-1])
-    ]
-    torch.testing.assert_close(ends[0], ends[1], rtol=1e-5, atol=0)
 
 
 @pytest.mark.parametrize("loss", [Loss("huber", 2.0), Loss("l1", 0.5)], ids=lambda loss: loss.kind)
@@ -391,21 +376,6 @@ def test_smooth_engine_recovers_what_it_made() -> None:
     np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=0.01)
     (dry,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True)
     assert dry.cost > found.cost
-
-
-def test_a_start_state_that_no_measurement_sees_takes_up_nothing() -> None:
-    residual = torch.randn(1, 6, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    jacobian = torch.randn(1, 6, 1, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    jacobian[..., 1] = 0.0  # two start states, the second of which is not seen, and a parameter
-    flat = jacobian[0, :, 0]
-    at = SimpleNamespace(
-        x=torch.zeros(1, 6, 2), residual=residual, jacobian=jacobian, hessian=(flat.T @ flat)[None]
-    )
-    batch = SimpleNamespace(weight=torch.ones(1, 6, 1))
-    found, _ = sensitivities(at, torch.tensor([0]), torch.tensor([0]), batch, Options())  # type: ignore[arg-type]
-    seen, own = flat[:, :1], flat[:, 2:]
-    expected = own - seen @ torch.linalg.lstsq(seen, own).solution
-    torch.testing.assert_close(torch.tensor(found[0][:, 0]), expected)
 
 
 def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:

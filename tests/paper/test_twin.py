@@ -9,7 +9,6 @@ from paper.twins import config as config_of
 
 from hybrid_id.errors import InputError
 from hybrid_id.machines.physics.stick_slip import integrate
-from hybrid_id.paper.demo import DEMO
 from hybrid_id.paper.twin import (
     DRIFTING,
     KINDS,
@@ -134,11 +133,6 @@ def test_folder_holds_records_models_and_truth(short: dict, tmp_path: Path) -> N
     assert read_yaml(tmp_path / "twin" / "model.yaml") == model_description(short, 3)
     with_priors = read_yaml(tmp_path / "twin" / "model_priors.yaml")["parameters"]
     assert {name for name, entry in with_priors.items() if "prior_std" in entry} == {"P_m1", "P_m2"}
-
-
-def test_demo_is_ready_to_identify(tmp_path: Path) -> None:
-    dataset, truths = write_campaign(tmp_path / "demo", DEMO, 0)
-    assert len(dataset.train) == 5 and len(dataset.test) == 1 and len(truths) == 6
 
 
 @pytest.mark.parametrize(

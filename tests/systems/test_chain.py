@@ -165,12 +165,6 @@ def test_systems_travel() -> None:
     assert [i.spec.value for i in fresh.table] == [i.spec.value for i in system.table]
 
 
-def test_gradient_reaches_the_torch_parameters() -> None:
-    system = rigid_drive()
-    system.theta().square().sum().backward()
-    assert all(value.grad is not None for value in system.parameters())
-
-
 def test_order_of_construction_does_not_matter_to_the_motion() -> None:
     forward = System([10.0], parts((FRICTION, Coulomb()), (FRICTION, Viscous()), ("joint1/load", OneLink())))
     backward = System(

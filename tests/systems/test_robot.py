@@ -1,6 +1,5 @@
 """Drives at the joints of a rigid-body tree: the planar arm it contains, MuJoCo beside it, stick and slip of six."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -183,31 +182,6 @@ def test_springs_and_play_at_several_of_six_joints_are_those_of_finer_steps(tmp_
     assert np.ptp(motion, axis=0)[:5].min() > 0.05
     assert apart(system, 8, 128) < 1e-5
     assert apart(system, 16, 128) < 2e-6
-
-
-def test_dry_friction_takes_energy_and_never_gives_any(tmp_path: Path) -> None:
-    """Without gravity and drive, an arm that was set in motion loses kinetic energy until all joints rest."""
-    pytest.importorskip("mujoco")
-    path = tmp_path / "arm.xml"
-    path.write_text(serial(6, 0.05).replace('damping="0.3"', ""))
-    tree = replace(load_tree(path), gravity=(0.0, 0.0, 0.0))
-    system, (time, torque) = robot(tree), torques(6, 3.0)
-    driven = np.where(time < 0.3, torque, 0.0)
-    record = Record(
-        "run",
-        time,
-        {f"tau{k + 1}": driven[k] for k in range(6)},
-        {f"q_m{k + 1}": 0.0 * time for k in range(6)},
-    )
-    batch = make_batch(system, [record], noise_std={f"q_m{k + 1}": 1.0 for k in range(6)})
-    x = simulate(system, Engine("dry", 2, compiled=compiler() is not None), batch).x[0]
-    q, v = x[:, 0::2], x[:, 1::2]
-    mass, _ = tree.dynamics(list(q.T), list(v.T))
-    whole = torch.stack([torch.stack([torch.as_tensor(m).expand(len(q)) for m in row]) for row in mass])
-    energy = 0.5 * torch.einsum("ti,ijt,tj->t", v, whole, v).numpy()[round(0.3 / STEP) + 1 :]
-    assert energy[0] > 1e-3
-    assert energy[-1] == 0.0
-    assert np.diff(energy).max() <= 1e-9 * energy[0]
 
 
 def test_a_coupling_beside_a_tree_is_refused() -> None:

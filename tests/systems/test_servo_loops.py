@@ -96,22 +96,6 @@ def test_dead_time_in_the_loop_is_its_pade_approximant() -> None:
     assert np.log2(apart[0] / apart[1]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_dead_time_of_a_proportional_loop_is_nearly_that_of_a_true_delay() -> None:
-    """Against steps of 0.02 ms with a memory: dead time of 6 ms at a loop of 20 rad/s."""
-    delay, fine, goal = 0.006, 2e-5, steps()
-    system = servo().with_values({"k_d": 0.0}).with_component("joint1/input", LoopDelay(T_l=delay))
-    q, v, past, there = 0.0, 0.0, [0.0] * round(delay / fine), []
-    for one in goal:
-        there.append(q)
-        for _ in range(round(STEP / fine)):
-            past.append(q)
-            v += fine * (K_P * (one - past[-1 - round(delay / fine)]) - F_V * v) / J
-            q += fine * v
-    here = run(system, goal, Engine("dry", 8)).y[0, :, 0].numpy()
-    without = run(servo().with_values({"k_d": 0.0}), goal, Engine("dry", 8)).y[0, :, 0].numpy()
-    assert np.abs(here - there).max() < 0.05 * np.abs(without - there).max()
-
-
 def test_a_rate_limit_makes_ramps_of_steps() -> None:
     goal, w_max = steps(), 2.0
     system = servo().with_component("joint1/input", GoalRateLimit(w_max=w_max))
