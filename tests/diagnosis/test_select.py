@@ -14,6 +14,7 @@ from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
     Selection,
+    _necessary,
     _with_fit,
     _with_whole_numbers,
     accepted,
@@ -91,6 +92,15 @@ def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
     assert chosen(4.0) == 4.0
     assert abs(chosen(3.4) - 3.4) < 0.05
     assert abs(chosen(3.4, lower=3.35) - 3.4) < 0.05  # the nearest whole number lies outside the bounds
+
+
+def test_of_needless_effects_the_one_whose_loss_costs_least_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = model(NOISE, DELAY, PLAY)
+    rests = {DELAY: model(1.0 * NOISE, PLAY), PLAY: model(0.999 * NOISE, DELAY)}
+    for name in ("hybrid_id.diagnosis.select.best_without",):
+        monkeypatch.setattr(name, lambda fits, base, richer, effect, steps: rests[effect])
+    fits: Any = None
+    assert _necessary(fits, model(2.0 * NOISE), both, []) is rests[PLAY]
 
 
 def test_a_candidate_whose_fit_has_failed_takes_the_one_that_is_found_later() -> None:

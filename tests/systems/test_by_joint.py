@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_arm import ARM as SERVO_ARM
 
 from hybrid_id.components import FloorContact, LinearSpring, Stribeck
 from hybrid_id.components.input.delay import CommonDelay, Delay
@@ -33,15 +34,7 @@ pytest.importorskip("mujoco")
 
 STEP = 0.004
 ENGINE = Engine("dry", 4, compiled=True)
-ARM = """<mujoco><compiler angle="radian"/><worldbody>
-<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
-<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
-<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
-<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
-<body pos="0 0 0.2"><joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
-<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/><site name="tip" pos="0 0 0.2"/>
-</body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1" forcerange="-2 2"/>
-<position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
+ARM = SERVO_ARM.replace('0.0001"/>', '0.0001"/><site name="tip" pos="0 0 0.2"/>')
 
 
 def arm(folder: Path) -> System:

@@ -151,30 +151,6 @@ def test_absent_friction_is_absent(tmp_path: Path) -> None:
     assert f"{FRICTION}/coulomb_friction" not in load_model(path).components
 
 
-def test_cases_that_come_with_their_models(shared: Path) -> None:
-    files = sorted((shared / "gapcases" / "dev").glob("c*/model.yaml"))
-    if not files:
-        pytest.skip("needs the development cases beside the project")
-    loaded = 0
-    for file in files:
-        content = yaml.safe_load(file.read_text())
-        system = load_model(file)
-        loaded += 1
-        assert system.gear_ratio == tuple(content["gear_ratio"])
-        for name, entry in content["parameters"].items():
-            spec = system.parameter(name).spec
-            assert (spec.value, spec.lower, spec.upper) == (entry["nominal"], entry["lower"], entry["upper"])
-            assert spec.unit == entry["unit"]
-        if content["system"] == "two_link":
-            assert ("joint1/load/joint_coupling" in system.components) == ("P_3" in content["parameters"])
-            continue
-        for law in ("coulomb_friction", "viscous_friction"):
-            flat = {"coulomb_friction": "F_c", "viscous_friction": "F_v"}[law]
-            listed = any(name.startswith(flat) and name[-1] != "a" for name in content["parameters"])
-            assert (f"{FRICTION}/{law}" in system.components) == listed
-    assert loaded >= 10
-
-
 ARM = {
     "system": "two_link",
     "gear_ratio": [156.0, 84.0],

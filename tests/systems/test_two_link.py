@@ -1,7 +1,5 @@
 """The two-link arm of the paper's eq. (13)-(14): mass matrix, energy, other engines, sticking of two joints at once."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 import torch
@@ -9,7 +7,6 @@ from drives import STEP, batch_of, run, stored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from machines.scipy_reference import integrate_scipy
-from scipy.optimize import minimize
 
 from hybrid_id.components import (
     Backlash,
@@ -17,7 +14,6 @@ from hybrid_id.components import (
     JointCoupling,
     KinematicError,
     LinearSpring,
-    LoadDependent,
     OneLink,
 )
 from hybrid_id.errors import InputError
@@ -185,54 +181,6 @@ def coupled(ratio=(20.0, 15.0), **values: float) -> System:
     """An arm light enough for each joint to be dragged by the other."""
     strong = {"P_1": 0.6, "P_2": 0.2, "P_3": 0.12, "P_4": 0.15, "F_cm1": 0.02, "F_cm2": 0.012}
     return arm(strong | values, ratio)
-
-
-@given(
-    torque=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
-    angle=st.floats(-3.0, 3.0),
-    speeds=st.sampled_from([(0.0, 0.0), (0.0, 4.0), (-3.0, 0.0)]),
-    factors=st.sampled_from([(0.0, 0.0), (0.3, 0.0), (0.2, 0.3)]),
-)
-@settings(max_examples=50)
-def test_sticking_of_both_joints_is_the_minimum_of_a_convex_problem(torque, angle, speeds, factors) -> None:
-    system = coupled()
-    for n, mu in enumerate(factors):
-        system = system.with_component(f"joint{n + 1}/motor_friction", LoadDependent(mu=mu)) if mu else system
-    x = [torch.tensor([v], dtype=torch.float64) for v in (0.0, speeds[0], 15.0 * angle, speeds[1])]
-    level = np.array([0.02, 0.012])
-    gain = np.array([MOTORS["P_m1m1"], MOTORS["P_m1m2"]])
-    u = {f"u{n + 1}": torch.tensor([torque[n] * level[n] / gain[n]], dtype=torch.float64) for n in range(2)}
-    p = system.views(list(stored(system)))
-    signs = system.directions(x, u, p)
-    a = [system.rates(x, u, p, signs)[row].item() for row in (1, 3)]
-    force = []
-    for row, m in ((0, 0), (1, 1)):  # what friction does, from the equations of motion of an arm without it
-        rates = arm({k: v for k, v in values_of(system).items() if k in TABLE_10 | MOTORS} | NO_FRICTION
-                    | {"F_vm1": 5e-5, "F_vm2": 2e-5}, system.gear_ratio)  # fmt: skip
-        bal = rates.rest(x, u, rates.views(list(stored(rates))), [None, None]).forward
-        inertia = [bal.speeds[0].inertia, bal.speeds[1].inertia]
-        force.append((bal.speeds[row].smooth - inertia[m] * a[m] - bal.couplings[0, 1] * a[1 - m]).item())
-    shares = np.array([0.7, 0.7])
-    matrix = np.array([[bal.speeds[0].inertia.item(), bal.couplings[0, 1].item()],
-                       [bal.couplings[0, 1].item(), bal.speeds[1].inertia.item()]])  # fmt: skip
-    rotor = (1 - shares) * np.array([0.6 / 400, 0.2 / 225])
-    smooth = np.array([bal.speeds[0].smooth.item(), bal.speeds[1].smooth.item()])
-    drive = gain * [u["u1"].item(), u["u2"].item()] - (gain * [0.0254, 0.0107] + [5e-5, 2e-5]) * speeds
-    transmitted = (matrix - np.diag(rotor)) @ a - (smooth - drive)
-    bound = level + np.array(factors) * np.abs(transmitted)
-    for k in range(2):
-        if speeds[k] or a[k]:
-            assert force[k] == pytest.approx(np.sign(speeds[k] or a[k]) * bound[k], rel=1e-7, abs=1e-12)
-        else:
-            assert abs(force[k]) <= bound[k] * (1 + 1e-9)
-    if not any(factors) and not any(speeds):
-
-        def cost(a):
-            return 0.5 * a @ matrix @ a - smooth @ a + level @ np.abs(a)
-
-        quadrants = [np.array(s) for s in product((-1, 1), repeat=2)]
-        best = min(minimize(lambda b, s: cost(s * b**2), np.ones(2), (s,), tol=1e-14).fun for s in quadrants)
-        assert cost(np.array(a)) <= best + 1e-9 * max(1.0, abs(best))
 
 
 def values_of(system: System) -> dict[str, float]:
