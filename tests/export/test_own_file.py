@@ -255,25 +255,6 @@ components:
     assert apart(system, switched) < 1e-2
 
 
-def test_a_servo_by_name_leaves_class_and_goals_of_the_actuators(tmp_path: Path) -> None:
-    """Of the six actuators of SO-101's file the preset changes gains and largest torque alone."""
-    file = Path(__file__).parents[3] / "shared" / "data" / "so101" / "so101_new_calib.xml"
-    if not file.exists():
-        pytest.skip("the shared data are not beside the project")
-    text = file.read_text()
-    system = arm(tmp_path, "robot: {file: arm.xml}\nservos: {all: {preset: sts3215, p: 16}}\n", text)
-    before, after = (
-        [
-            dict(re.findall(r'(\w+)="([^"]*)"', line))
-            for line in re.findall("<(?:position|general) .*name.*", one)
-        ]
-        for one in (text, to_mjcf(system).text)
-    )
-    assert len(before) == len(after) == 6
-    for old, new in zip(before, after, strict=True):
-        assert {name for name in old | new if old.get(name) != new.get(name)} == {"kp", "kv", "forcerange"}
-
-
 def test_a_goal_that_is_limited_on_one_side_is_limited_there(tmp_path: Path) -> None:
     one_side = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 20, k_d: 1, goal_min: -0.2}}]"
     system = arm(tmp_path, "robot: {file: arm.xml}\n" + one_side, ARM.replace(' ctrlrange="-90 90"', ""))

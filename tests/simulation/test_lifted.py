@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre
-from hybrid_id.simulation import lifted
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import (
     Linearisation,
     condense_compiled,
     condense_reference,
-    forced,
     linearise,
     shoot,
 )
@@ -188,31 +186,6 @@ def test_condensing_equals_the_explicit_recursion(
             current = a[:, k] @ current
             current[:, :, n_x:-1] += b[:, k]
             current[:, :, -1] += lin.x_next[:, k] - x[:, k + 1]
-
-
-@given(
-    rows=st.integers(1, 3),
-    samples=st.integers(1, 9),
-    n_x=st.integers(1, 4),
-    n_y=st.integers(1, 3),
-    n_w=st.integers(1, 5),
-)
-@settings(max_examples=40)
-def test_forced_outputs_equal_the_explicit_recursion(
-    rows: int, samples: int, n_x: int, n_y: int, n_w: int
-) -> None:
-    g = torch.Generator().manual_seed(samples)
-    shapes = (n_y, n_x), (n_x, n_x), (n_x,), (n_w,)
-    through, a, b, inputs = (
-        torch.randn(rows, samples, *shape, generator=g, dtype=torch.float64) for shape in shapes
-    )
-    found, state = forced(through, a, b, inputs), torch.zeros(rows, n_x, n_w, dtype=torch.float64)
-    for k in range(samples):
-        torch.testing.assert_close(found[:, k], through[:, k] @ state, rtol=1e-10, atol=1e-10)
-        state = a[:, k] @ state + b[:, k, :, None] * inputs[:, k, None]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lifted, "_condensing", lambda: None)
-        torch.testing.assert_close(forced(through, a, b, inputs), found, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("length", [1, 7, 16, 50, 64])

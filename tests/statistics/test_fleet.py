@@ -109,13 +109,6 @@ def test_an_odd_robot_is_found_and_leaves_mean_and_spread_alone(robots: int) -> 
         assert found.spread_interval[0, 0] <= SPREAD[0] <= found.spread_interval[0, 1]
 
 
-def test_many_odd_robots_do_not_hide_each_other() -> None:
-    drawn = Drawn(6, robots=40)
-    for i in range(0, 40, 8):
-        drawn.values[i] = drawn.values[i] * np.array([2.5, 1.0, 1.0, 1.0])
-    assert np.flatnonzero(drawn.found().stands_out).tolist() == [0, 8, 16, 24, 32]
-
-
 def test_an_odd_error_of_fit_is_found_and_a_small_one_is_not() -> None:
     drawn = Drawn(2)
     drawn.misfit[4] = 3.0
