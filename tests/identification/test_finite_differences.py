@@ -8,7 +8,7 @@ import pytest
 import torch
 from drives import batch_of, multisine, rigid_drive
 
-from hybrid_id.components import Backlash, Delay, Gravity, Viscous
+from hybrid_id.components import Backlash, Delay, Gravity
 from hybrid_id.errors import InputError
 from hybrid_id.identification.finite_differences import (
     Rollouts,
@@ -16,7 +16,6 @@ from hybrid_id.identification.finite_differences import (
     slopes_at,
 )
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.leave_one_out import PARTS, _parts, leave_one_out
 from hybrid_id.identification.restarts import perturbed_restarts
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.rollout import rollout
@@ -119,32 +118,6 @@ def test_nothing_to_estimate_is_told() -> None:
     held = system.with_specs({info.name: replace(info.spec, estimate=False) for info in system.table})
     with pytest.raises(InputError, match="no parameter to estimate"):
         finite_difference_fit(held, batch, engine=QUICK)
-
-
-def test_a_part_left_out_is_predicted_as_by_a_fit_to_the_others() -> None:
-    # without dry friction, whose events make a cost of steps
-    truth = rigid_drive(Viscous(F_v=5e-5))
-    inputs = {"u1": np.stack([multisine(k, samples=900, rest=20) for k in range(3)])}
-    batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
-    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
-    noise = NOISE * torch.randn(run.shape, generator=torch.Generator().manual_seed(1), dtype=run.dtype)
-    run[2] *= 1.05  # another machine: what the others predict of it differs from what it says itself
-    batch = replace(batch, y=run + noise, weight=torch.full_like(run, 1.0 / NOISE))
-    whole = finite_difference_fit(truth, batch, engine=DRY)
-    seen = sum(float(np.square(r).sum()) for r in whole.residual)
-    found, refitted = leave_one_out(whole, batch, 4), []
-    free = [i for i, info in enumerate(truth.table) if info.spec.estimate]
-    parts = _parts(batch)
-    for i in range(min(PARTS, batch.rows)):
-        mine = torch.tensor(parts == i)[..., None]
-        others = replace(batch, weight=batch.weight * ~mine)
-        alone = finite_difference_fit(whole.system, others, engine=DRY)
-        run = Rollouts(truth, batch, DRY, free).residuals(alone.values[None], whole.x0[None])[0]
-        refitted.append(float(np.square(run[parts == i]).sum()))
-    told = sum(float(np.square(r).sum()) for r in found)
-    assert told > 1.2 * seen
-    # steps with the slopes of the whole fit: a screen, not a fit
-    assert told == pytest.approx(sum(refitted), rel=0.3)
 
 
 def test_priors_hold_what_the_records_do_not_tell() -> None:

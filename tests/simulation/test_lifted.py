@@ -137,18 +137,6 @@ def test_a_held_joint_forgets_its_speed_and_friction_level() -> None:
     assert lin.c[0, 0].tolist() == [[1.0, 0.0]] and (lin.d == 0).all()
 
 
-def test_blocks_of_lanes_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    system = SYSTEMS["flexible"]
-    batch = batch_of(system, {"u1": np.stack([multisine(k, samples=40, rest=2) for k in range(3)])}, rows=3)
-    theta = stored(system, 3) * torch.tensor([0.9, 1.0, 1.1])
-    batch = replace(batch, x=rollout(system, Engine(), batch, theta))
-    whole = linearise(system, Engine(), batch.x, batch.u, batch.dt, theta, [0, 3], batch.outputs)
-    monkeypatch.setattr("hybrid_id.simulation.lifted.LANES", 17)
-    parts = linearise(system, Engine(), batch.x, batch.u, batch.dt, theta, [0, 3], batch.outputs)
-    for name, value in vars(whole).items():
-        torch.testing.assert_close(getattr(parts, name), value, rtol=1e-12, atol=1e-14)
-
-
 @given(
     rows=st.integers(1, 3),
     samples=st.integers(1, 23),
