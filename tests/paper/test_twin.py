@@ -77,15 +77,6 @@ def test_truth_drifts_run_by_run_within_its_bounds() -> None:
     assert np.abs(np.corrcoef(ratios[:, drifting].T) - np.eye(5)).max() < 0.6, "each factor is its own"
 
 
-def test_without_disturbances_only_rounding_is_left(short: dict) -> None:
-    short["disturbances"] |= {"torque_noise": 0.0, "encoder_noise": 0.0, "torque_ripple": None}
-    dataset, truths = make_campaign(short, 1)
-    for record, output in zip(dataset, replay(short, dataset.records, truths), strict=True):
-        assert np.abs(record.outputs["q_m1"] - output["q_m1"]).max() <= np.pi / 128 * (1 + 1e-9)
-        gradient = np.gradient(output["q_m1"], 0.002)
-        assert np.abs(gradient - output["v_m1"])[5:-5].max() < 4
-
-
 @pytest.mark.parametrize("stage", STAGES)
 def test_stage_repeats_by_seed_and_its_truth_replays_it(stage: str) -> None:
     config = brief(stage)
