@@ -111,12 +111,6 @@ def test_lugre_steady_state_is_the_stribeck_curve() -> None:
     )
 
 
-def test_lugre_near_rest_is_a_damped_spring() -> None:
-    law, none = LuGre(sigma_0=2.0, sigma_1=0.3), tensor([0.0])
-    assert law.torque(view(law), [tensor([0.004])], none, tensor([0.02])).item() == pytest.approx(2.0 * 0.004)
-    assert law.torque(view(law), [none], tensor([0.1]), tensor([0.02])).item() == pytest.approx(0.3 * 0.1)
-
-
 def test_maxwell_slip_against_springs_that_slide_at_once() -> None:
     # Iwan's springs, each clipped at its level; the law's go over smoothly within 0.3 of theirs
     law, level, h = MaxwellSlip(sigma=0.04), tensor([0.02]), 1e-3

@@ -14,7 +14,7 @@ from servo_arm import described, of_joint, records_of
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY, Component
 from hybrid_id.diagnosis.diagnose import Answer
-from hybrid_id.diagnosis.distinguish import _compared, _held_alike, _tie, distinguished
+from hybrid_id.diagnosis.distinguish import _compared, _held_alike, _large_models, _tie, distinguished
 from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_steps
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep, Shown
@@ -98,6 +98,48 @@ def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
     parts = {"lift": 0.05, "elbow": 0.95}
     monkeypatch.setattr("hybrid_id.diagnosis.distinguish.parts_of_gap", lambda *_: (parts, {}))
     assert distinguished(WholeRobot(dataset, nominal, answers, WHOLE)) == answers
+
+
+def claims(where: str, *effects: tuple[str, float]) -> Any:
+    """A joint's answer with these effects, selected, and their shares of the joint's gap."""
+    each = [SimpleNamespace(name=name, where=where, share=share, selected=True) for name, share in effects]
+    return SimpleNamespace(
+        found=SimpleNamespace(chosen=SimpleNamespace(system=SimpleNamespace(components={}), said=where)),
+        searched=SimpleNamespace(base=SimpleNamespace(said="base")), grade=SimpleNamespace(effects=each),
+    )  # fmt: skip
+
+
+def test_neighbours_little_claims_take_no_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may be the image of one of the explanations, as a tilted base is; what acts on all joints is one claim."""
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.held", lambda model, _: model)
+    one_for_all = lambda name, _: name[0] if name[0] == "floor_contact" else name  # noqa: E731
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.what", one_for_all)
+    answers = {
+        "large": claims("joint1/load", ("spring_load", 0.5)),
+        "little": claims("joint2/load", ("spring_load", 0.4)),
+        "worse": claims("joint3/load", ("spring_load", -1.0)),
+        "floor": claims("joint4/load", ("floor_contact", 0.5)),
+        "same": claims("joint5/load", ("floor_contact", 0.5)),
+    }
+    parts = {"large": 0.5, "little": 0.1, "worse": 0.15, "floor": 0.12, "same": 0.13}
+    models: Any = _large_models(answers, parts)
+    found = {name: one.said for name, one in models.items()}
+    assert found == {
+        "large": "joint1/load", "little": "base", "worse": "base", "floor": "joint4/load", "same": "joint5/load",
+    }  # fmt: skip
+
+
+def test_of_several_ties_the_one_about_most_of_the_gap_is_asked(
+    biased: tuple[Dataset, dict[str, Answer]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, answers = biased
+    ((step, equals),) = tied_steps(answers["lift"].found, answers["lift"].searched.steps)
+    others = [replace(one, effects=(("backlash", "joint2/transmission"),)) for one in equals]
+    small = replace(step, candidates=tuple(others)), others  # nothing is known of their share
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.tied_steps", lambda *_: [small, (step, equals)])
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.accepted_ones", lambda step: step.candidates)
+    tie = _tie(answers["lift"])
+    assert tie is not None and tie[0] is step
 
 
 def test_what_all_joints_have_shown_is_not_asked_again(biased: tuple[Dataset, dict[str, Answer]]) -> None:

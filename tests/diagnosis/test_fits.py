@@ -15,6 +15,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 import hybrid_id.diagnosis.fits as module
 from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FULL, Fits, Task, bounded, engine, predicted, without_priors
 from hybrid_id.diagnosis.model import FittedModel
@@ -24,6 +25,7 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.step import Engine
 
 
 def disturbed(dataset: Dataset, name: str, seed: int = 1) -> Dataset:
@@ -220,6 +222,32 @@ def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyP
     together, in_turn = fits.run(some, 1), Fits(dataset).run(some, 1)
     assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
     assert fits.jobs == 1
+
+
+def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where fits are shared, an effect of the user's own is registered in the first process alone."""
+    told = []
+
+    def nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bool) -> None:
+        told.append(halting)
+        raise RuntimeError("this is all that was asked")
+
+    class Elsewhere:
+        def __init__(self, **_: object) -> None:
+            pass
+
+        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
+            for function, args, named in calls:
+                with monkeypatch.context() as there:
+                    for name in list(CATALOGUE):
+                        there.delitem(CATALOGUE, name)
+                    yield function(*args, **named)
+
+    dataset, nominal = small_case()
+    monkeypatch.setattr(module, "_nearest", nearest)
+    monkeypatch.setattr(module, "Parallel", Elsewhere)
+    Fits(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), nominal), Task((), nominal)], 10)
+    assert told == [True, False]
 
 
 def test_a_fit_over_long_windows_also_begins_where_one_over_short_ones_has_ended() -> None:

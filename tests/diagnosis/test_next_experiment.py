@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, ConstantTorque, PositionLoop, Stribeck
 from hybrid_id.components.load.spring import Spring
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.next_experiment import RECORDS, REST, next_experiment
+from hybrid_id.diagnosis.next_experiment import RECORDS, REST, _Loop, next_experiment
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
@@ -168,3 +170,14 @@ def test_soft_and_rigid_rivals_are_compared_in_either_order() -> None:
     one, other = (next_experiment(dataset, [tied]) for tied in (rivals, rivals[::-1]))
     assert [e.name for e in one] == [e.name for e in other]
     assert one[-1].distance == pytest.approx(other[-1].distance)
+
+
+def test_a_geared_joint_is_moved_by_its_motors_torque() -> None:
+    _, geared = small_case()
+    ratio, loop = geared.joints[0].gear_ratio, _Loop(k_p=4.0, k_d=0.5, most=2.0)
+    assert ratio == 50.0
+    goals = SimpleNamespace(command=np.array([1.0, 0.0, -1.0]))
+    # states are the rotor's, goals the link's
+    x = torch.tensor([[[0.5, 0.2], [0.1, -0.3], [0.0, 0.0]]], dtype=torch.float64) * ratio
+    told = loop.torque(geared, 1, x, [goals])  # type: ignore[list-item]
+    np.testing.assert_allclose(told, np.array([[1.9, -0.25, -2.0]]) / ratio)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.fits import FULL, Task
 from hybrid_id.diagnosis.grade import RatedEffect
-from hybrid_id.diagnosis.own_values import borne_out, helps, own_values
+from hybrid_id.diagnosis.own_values import _smallest_first, borne_out, helps, own_values
 from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE
@@ -72,6 +73,19 @@ def test_a_tilt_that_two_joints_claim_is_not_refuted_by_the_other_claim(nominal:
         assert all(one.found.chosen.effects for one in answers.values())
         kept = borne_out(WholeRobot(dataset, nominal, answers, WHOLE))
     assert kept["lift"].found.chosen.effects
+
+
+def test_the_smallest_claim_of_all_joints_is_asked_first() -> None:
+    def answer(gap: float, **shares: float | None) -> Any:
+        effects = [
+            SimpleNamespace(name=name, where="joint1/load", share=share) for name, share in shares.items()
+        ]
+        return SimpleNamespace(grade=SimpleNamespace(gap=gap, effects=effects))
+
+    answers = {"lift": answer(100.0, spring=0.9, bias=0.1), "elbow": answer(1.0, spring=0.6, bias=None)}
+    claimed = {name: [("spring", "joint1/load"), ("bias", "joint1/load")] for name in answers}
+    asked = [(joint, effect) for joint, (effect, _) in _smallest_first(answers, claimed)]
+    assert asked == [("elbow", "bias"), ("elbow", "spring"), ("lift", "bias"), ("lift", "spring")]
 
 
 def test_white_noise_is_explained_however_little_structure_one_set_leaves(nominal: System) -> None:

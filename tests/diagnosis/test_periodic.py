@@ -15,6 +15,7 @@ from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, LocalFriction, PositionDependent
 from hybrid_id.components.base import Component
 from hybrid_id.components.transmission.kinematic_error import WAVES
+from hybrid_id.diagnosis import periodic
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect, with_effect, with_further
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import parameters_of
@@ -62,6 +63,25 @@ def test_a_wave_that_does_not_come_again_is_none() -> None:
     assert all(n >= twice for n, *_ in rotor_waves(fit, 1, "motor"))
     short = replace(fit, batch=replace(fit.batch, x=1e-4 * fit.batch.x), _responses=fit._responses)
     assert rotor_waves(short, 1, "motor") == []  # no motor has so many periods a turn
+
+
+def test_whole_numbers_of_periods_are_looked_at_however_far_the_rotor_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Over so many turns a wave between two that are looked at is lost; poles and slots have whole numbers of them."""
+    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
+    phase = fit.batch.x[..., fit.opened(1, "motor").row]
+    wide = replace(
+        fit,
+        batch=replace(fit.batch, x=1e5 / float(phase.max() - phase.min()) * fit.batch.x),
+        _responses=fit._responses,
+    )
+    monkeypatch.setattr(periodic, "_strongest", lambda opened, count, shape: [(i, ()) for i in range(count)])
+    monkeypatch.setattr(periodic, "_peaks", list)
+    periods = {n for (n,) in rotor_waves(wide, 1, "motor")}
+    assert set(map(float, range(1, 49))) <= periods and 84.0 in periods
+    monkeypatch.setattr(periodic, "_peaks", lambda found: found[-2:])  # the last that are looked at
+    assert [n for (n,) in friction_waves(wide, 1, "motor_friction")] == [3.0, 4.0]
 
 
 def test_error_of_a_gear() -> None:

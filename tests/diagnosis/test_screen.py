@@ -1,6 +1,7 @@
 """One selection step: which candidates are fitted further, and which leads."""
 
-from dataclasses import dataclass, field
+import importlib
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -8,8 +9,9 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.fits import FINER, FULL
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
 from hybrid_id.diagnosis.screen import (
+    _from_afar,
     _worth_it,
     best_of_each,
     better_ways,
@@ -157,6 +159,112 @@ def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted()
     small, done = one(0.94, "gravity_load", "spring_load"), one(0.94, "gravity_load", "spring_load")
     done.no_structure = True
     assert promising(done, weight) and not promising(small, weight)
+
+
+@pytest.mark.parametrize("structure", [False, True])
+def test_from_afar_what_leaves_structure_is_fitted_without_priors_too(
+    monkeypatch: pytest.MonkeyPatch, structure: bool
+) -> None:
+    """Over short windows what is right leaves none with its own values, which priors would keep from it."""
+    module = importlib.import_module("hybrid_id.diagnosis.screen")
+    monkeypatch.setattr(module, "hidden_links", lambda system, batch: False)
+    _, nominal = small_case()
+    inertia = nominal.parameter("J").spec
+    held = nominal.with_specs({"J": replace(inertia, prior_mean=inertia.value, prior_std=1e-9)})
+    asked: list[tuple[bool, int, int, bool]] = []
+
+    @dataclass
+    class Fits:
+        whole: bool
+
+        def over(self, horizon: Any) -> "Fits":
+            return Fits(False)
+
+        def records(self, system: Any) -> None:
+            return None
+
+        def run(self, tasks: Any, iterations: int, tick: Any = None) -> list[Any]:
+            for one in tasks:
+                is_held = one.system.parameter("J").spec.prior_std is not None
+                asked.append((self.whole, iterations, len(one.effects), is_held))
+            return [
+                Fitted(
+                    one.effects,
+                    1.0 if one.effects else 9.0,
+                    no_structure=not structure or one.system.parameter("J").spec.prior_std is None,
+                    system=one.system,
+                )
+                for one in tasks
+            ]
+
+    before = Fitted((), 9.0, no_structure=False, system=held)
+    far = [Task((("spring_load", "joint1/load"),), held)]
+    found = _from_afar(cast(Any, Fits(True)), nominal, cast(Any, before), [], far, lambda: None)
+    as_held = [
+        (False, COARSE, 1, True),
+        (False, FINER, 1, True),
+        (False, FINER, 0, True),
+        (True, FINER, 1, True),
+    ]
+    free = [(False, COARSE, 1, False), (False, FINER, 1, False), (True, FINER, 1, False)]
+    assert asked == [*as_held, *(free if structure else [])]
+    assert [one.system.parameter("J").spec.prior_std is not None for one in found] == [
+        True,
+        *[False] * structure,
+    ]
+    # what is held by nobody needs no fits of its own
+    asked.clear()
+    before.system, far = nominal, [Task((("spring_load", "joint1/load"),), nominal)]
+    assert _from_afar(cast(Any, Fits(True)), nominal, cast(Any, before), [], far, lambda: None)
+    assert len(asked) == 4
+
+
+def test_where_a_wave_leads_all_its_initial_values_go_over_short_windows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    module = importlib.import_module("hybrid_id.diagnosis.screen")
+    wave, spring = ("cogging", "joint1/motor"), ("spring_load", "joint1/load")
+    seen: list[list[Task]] = []
+    _, nominal = small_case()
+
+    def afar(fits: Any, nominal: Any, before: Any, ranked: Any, far: list[Task], tick: Any) -> list[Any]:
+        seen.append(far)
+        return []
+
+    def asked(before: tuple[Any, ...], leader: tuple[Any, ...], **other: Any) -> list[tuple[Any, ...]]:
+        best = Fitted(leader, 2.0, **{"no_structure": False, "system": nominal, **other})
+        monkeypatch.setattr(module, "_finer", lambda *_: [best])
+        fits: Any = SimpleNamespace(whole=True, run=lambda *_: [best], records=lambda _: None)
+        near = [Task(tuple(sorted((*before, one))), cast(Any, None)) for one in (wave, wave, spring)]
+        module.screen(fits, cast(Any, None), cast(Any, Fitted(before, 9.0)), near, lambda: None)
+        return [one.effects for one in seen.pop()] if seen else []
+
+    monkeypatch.setattr(module, "from_nominal", lambda *_: [])
+    monkeypatch.setattr(module, "hidden_links", lambda *_: False)
+    monkeypatch.setattr(module, "_freed", lambda fits, nominal, before, leader: list(leader))
+    monkeypatch.setattr(module, "_from_afar", afar)
+    assert asked((), (wave,)) == [(wave,), (wave,)]
+    assert asked((), (spring,)) == []
+    # beside a wave that is there it is the new effect that counts
+    assert asked((wave,), (wave, spring)) == []
+    # what leaves no structure needs no look from afar
+    assert asked((), (wave,), no_structure=True) == []
+
+
+@pytest.mark.parametrize(
+    ("free", "structure", "starts"),
+    [(0.95, True, ["held"]), (0.5, True, ["held", "free"]), (0.95, False, ["free"]), (None, True, ["held"])],
+)
+def test_what_errs_clearly_less_when_free_is_fitted_both_ways_to_the_end(
+    monkeypatch: pytest.MonkeyPatch, free: float | None, structure: bool, starts: list[str]
+) -> None:
+    """Priors that hold a model which lacks much may keep the right effect from what it explains."""
+    module = importlib.import_module("hybrid_id.diagnosis.screen")
+    held = Fitted((("spring_load", "joint1/load"),), 1.0, no_structure=False, system="held")
+    freed = None if free is None else Fitted(held.effects, free, no_structure=not structure, system="free")
+    monkeypatch.setattr(module, "_unheld", lambda *_: freed)
+    found = module._held_or_not(cast(Any, None), cast(Any, None), cast(Any, held))
+    assert [one.system for one in found] == starts
 
 
 @pytest.mark.parametrize(

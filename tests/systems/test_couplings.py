@@ -143,17 +143,6 @@ def test_a_motor_that_sticks_turns_the_second_joint_against_the_first() -> None:
     assert q_1[-1] > 0.1
 
 
-def test_the_identity_couples_nothing() -> None:
-    command = (STEP * np.arange(200), np.sin(np.arange(200) * STEP * np.array([[9.0], [7.0]])))
-    values = {"F_c_one": 0.01, "F_c_two": 0.02}
-    found = []
-    for tree in (planar(((1.0, 0.0), (0.0, 1.0))), planar().coupled([])):
-        system = robot(tree, (20.0, 10.0)).with_values(values)
-        system = system.with_component("joint1/load", Spring(k_s=2.0))
-        found.append(run(system, Engine("dry", 2), outputs=("q_m1", "q_a2"), command=command).x)
-    torch.testing.assert_close(found[0], found[1], rtol=0, atol=1e-13)
-
-
 def test_what_acts_at_a_link_does_the_work_of_its_torque(tmp_path: Path) -> None:
     """Springs, viscous friction and weight at the links give the motors tau_m = A^T tau, A = d q / d q_m."""
     system = wrist(tmp_path)

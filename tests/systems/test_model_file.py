@@ -13,10 +13,6 @@ from malformed_models import malformed_models, write_sound_model
 
 from hybrid_id.components import (
     REGISTRY,
-    AsymmetricStribeck,
-    CurrentMotor,
-    DutySupply,
-    LinearSpring,
     LuGre,
     MotorEncoder,
     Stribeck,
@@ -59,19 +55,10 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 
 
 SYSTEMS = {
-    "one_link": one_link(156.0),
     "vertical": one_link(156.0, vertical=True),
-    "asymmetric": one_link(156.0, friction=AsymmetricStribeck()),
-    "flexible": one_link_flexible(99.5),
-    "flexible vertical": one_link_flexible(99.5, vertical=True),
     "frictionless": one_link().without_component(FRICTION, "viscous_friction"),
     "richer": rigid_drive().with_component(FRICTION, Stribeck()).with_component(FRICTION, LuGre()),
-    "spring in a rigid arm": one_link(50.0).with_component("joint1/transmission", LinearSpring()),
-    "current": one_link(50.0).with_component("joint1/motor", CurrentMotor()),
-    "duty": one_link(50.0).with_component("joint1/input", DutySupply()),
-    "arm": two_link((156.0, 84.0)),
     "arm vertical": two_link((156.0, 84.0), vertical=True),
-    "arm with one spring": two_link((156.0, 84.0)).with_component("joint2/transmission", LinearSpring()),
     "arm not coupled": two_link((9.0, 8.0)).without_component("joint1/load", "joint_coupling"),
     "offset": one_link(50.0).with_component("joint1/sensor", MotorEncoder(offset=-0.2)),
 }
