@@ -178,23 +178,6 @@ def test_priors_close_the_open_directions() -> None:
     assert results[0].values[at] == pytest.approx(0.019, rel=0.02), "the prior's mean holds it, not the start"
 
 
-def test_prior_and_data_are_weighed() -> None:
-    truth, wrong = RIGID, 1.5 * 2e-5
-    runs = records(truth, [0])
-    batch = make_batch(truth, runs, noise_std=NOISE, signal_share=0.0)
-    (plain,) = fit(truth, batch)
-    index = plain.names.index("J")
-    sigma = np.sqrt(covariance(plain)[index, index])
-    found = {}
-    for std in (1e-3 * sigma, 1e3 * sigma):
-        spec = replace(truth.parameter("J").spec, prior_mean=wrong, prior_std=float(std))
-        (result,) = fit(truth.with_specs({"J": spec}), batch)
-        found[std] = result.values[index]
-    narrow, wide = found.values()
-    assert narrow == pytest.approx(wrong, rel=1e-3)
-    assert wide == pytest.approx(plain.values[index], rel=1e-3)
-
-
 def test_start_in_motion_is_estimated() -> None:
     cut = [r.between(0.7, 2.0) for r in records(RIGID, range(6))]
     batch = make_batch(RIGID, cut, noise_std=NOISE, signal_share=0.0)
