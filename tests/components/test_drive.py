@@ -78,14 +78,6 @@ def test_electrical_lag_against_the_winding_equation() -> None:
     assert np.abs(found - exact).max() < 2e-3 * np.abs(exact).max()
 
 
-def test_current_lags_with_the_torque() -> None:
-    system = DRIVE.with_component("joint1/motor", ElectricalLag(T_e=4e-3))
-    voltage = np.full(200, 6.0)
-    np.testing.assert_allclose(
-        simulated(system, voltage, "i1"), simulated(system, voltage, "tau1") / P_M2, rtol=1e-9, atol=1e-12
-    )
-
-
 def test_warm_winding_against_its_equation() -> None:
     settle, heat, volts = 5.0, 4000.0, 8.0
     system = DRIVE.with_component("joint1/motor", ThermalDerating(T_w=settle, c=heat))

@@ -15,8 +15,6 @@ from hybrid_id.components import (
     Cogging,
     ConstantTorque,
     Coulomb,
-    CurrentCommand,
-    CurrentMotor,
     Dahl,
     Deadband,
     Delay,
@@ -190,15 +188,6 @@ def test_gear_is_carried(name: str) -> None:
     part, limit = GEARS[name]
     system = flexible().with_component("joint1/transmission", part)
     assert apart(system, dataset(outputs=("q_m1", "q_a1"))) < limit
-
-
-def test_current_drive_is_carried() -> None:
-    pytest.importorskip("mujoco")
-    system = one_link(RATIO).with_component("joint1/input", CurrentCommand())
-    system = system.with_component("joint1/motor", CurrentMotor(k_t=0.02)).with_component(
-        "joint1/motor", Cogging()
-    )
-    assert apart(system, dataset(channel="i", size=2.0)) < 2e-3
 
 
 def test_delay_of_a_position_loop_holds_back_the_goal_and_not_the_angle() -> None:

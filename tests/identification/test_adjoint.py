@@ -82,23 +82,6 @@ def test_ends_where_levenberg_marquardt_ends(batch: Batch, trained: list[FitResu
         assert found.n_samples == reference.n_samples and found.iterations < 40
 
 
-def test_results_are_those_of_a_fit(trained: list[FitResult]) -> None:
-    for k, result in enumerate(trained):
-        assert result.records == (f"run_{k}",)
-        assert result.ok and 0.5 < result.noise_scale < 1.5
-        assert np.all(np.diff(result.history) <= 1e-6 * result.history[0])
-        assert "converged" in result.summary()
-        for name, value in zip(result.names, result.values, strict=True):
-            assert result.system.parameter(name).spec.value == value
-
-
-def test_one_set_over_all_records(batch: Batch) -> None:
-    (found,) = train(START, batch, pooled=True, options=QUICK)
-    (reference,) = fit(START, batch, pooled=True, engine=SMOOTH)
-    assert found.records == ("run_0", "run_1")
-    assert np.abs(in_standard_errors(found, reference)).max() < 0.05
-
-
 def test_priors_count_as_they_do_in_a_fit(batch: Batch) -> None:
     tight = respecified(START, "F_v", 8e-5, prior_mean=8e-5, prior_std=1e-6)
     one = batch.take(torch.tensor([0]))

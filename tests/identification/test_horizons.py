@@ -153,12 +153,6 @@ def test_study_uses_its_horizon_throughout(drifted: list[Record]) -> None:
     assert np.isfinite(study.engine_error)
 
 
-def test_study_chooses_by_itself(drifted: list[Record]) -> None:
-    study = identify(dataset_of(drifted), START, engine=ENGINE, pooled=True)
-    assert study.horizon.kind != "whole"
-    assert "horizon: free runs" in study.summary()
-
-
 def test_models_are_compared_over_one_horizon(drifted: list[Record]) -> None:
     dataset, models = dataset_of(drifted), {"start": START, "truth": TRUTH}
     long, short = (

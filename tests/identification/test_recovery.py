@@ -14,7 +14,6 @@ from hybrid_id.components import (
     AsymmetricStribeck,
     Component,
     Dahl,
-    LinkEncoder,
     LoadDependent,
     LuGre,
     MotorEncoder,
@@ -139,14 +138,6 @@ def test_flexible_drive(outputs: tuple[str, ...]) -> None:
     assert_recovered(results, FLEXIBLE)
 
 
-def test_link_encoder_tells_the_link_better() -> None:
-    found = []
-    for outputs in (("q_m1",), ("q_m1", "q_a1")):
-        runs = records(FLEXIBLE, [0, 1], outputs, amplitude=10.0)
-        found += fit(FLEXIBLE, make_batch(FLEXIBLE, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert (np.diag(covariance(found[1])) < np.diag(covariance(found[0]))).all()
-
-
 def test_voltage_and_angle_leave_two_directions_open_and_current_or_torque_closes_one() -> None:
     # every torque may be multiplied by one number, and P_m2 hides behind F_v, until current or torque is measured
     system = only(rigid_drive(), "J", "P_m1", "P_m2", "F_c", "F_v")
@@ -167,22 +158,6 @@ def test_voltage_and_angle_leave_two_directions_open_and_current_or_torque_close
     assert found["P_m2"] + found["F_v"] / found["P_m1"] == pytest.approx(0.0254 + 5e-5 / 0.019, rel=0.01)
 
 
-def test_what_records_cannot_tell_stays_where_it_was() -> None:
-    system = only(rigid_drive(), "J", "P_m1", "F_c", "F_v", "rotor_share")
-    (found,) = fit(
-        away(system, 1.1), make_batch(system, records(system, [0]), noise_std=NOISE, signal_share=0.0)
-    )
-    j = found.jacobian[0].reshape(-1, len(found.names))
-    assert (j[:, found.names.index("rotor_share")] == 0).all(), "a rigid gear does not tell the rotor's share"
-    assert found.unseen == ("rotor_share",) and "not seen by these records" in found.summary()
-    start = away(system, 1.1).parameter("rotor_share").spec.value
-    assert found.values[found.names.index("rotor_share")] == pytest.approx(start)
-    assert rank(
-        information(found)[:-1, :-1] if found.names[-1] == "rotor_share" else information(found)
-    ) < len(found.names)
-    assert found.status == "converged"
-
-
 def test_priors_close_the_open_directions() -> None:
     system = rigid_drive()
     prior = {n: 0.02 * system.parameter(n).spec.value for n in ("P_m1", "P_m2")}
@@ -201,23 +176,6 @@ def test_priors_close_the_open_directions() -> None:
     at = results[0].names.index("P_m1")
     assert spread[at] == pytest.approx(prior["P_m1"], rel=0.05), "the records add nothing to the scale"
     assert results[0].values[at] == pytest.approx(0.019, rel=0.02), "the prior's mean holds it, not the start"
-
-
-def test_prior_and_data_are_weighed() -> None:
-    truth, wrong = RIGID, 1.5 * 2e-5
-    runs = records(truth, [0])
-    batch = make_batch(truth, runs, noise_std=NOISE, signal_share=0.0)
-    (plain,) = fit(truth, batch)
-    index = plain.names.index("J")
-    sigma = np.sqrt(covariance(plain)[index, index])
-    found = {}
-    for std in (1e-3 * sigma, 1e3 * sigma):
-        spec = replace(truth.parameter("J").spec, prior_mean=wrong, prior_std=float(std))
-        (result,) = fit(truth.with_specs({"J": spec}), batch)
-        found[std] = result.values[index]
-    narrow, wide = found.values()
-    assert narrow == pytest.approx(wrong, rel=1e-3)
-    assert wide == pytest.approx(plain.values[index], rel=1e-3)
 
 
 def test_start_in_motion_is_estimated() -> None:
@@ -242,15 +200,6 @@ def test_encoder_offset_is_told_by_gravity() -> None:
     assert_recovered(fit(start, make_batch(start, runs, noise_std=NOISE, signal_share=0.0)), truth)
 
 
-def test_link_offset_alone() -> None:
-    truth = only(FLEXIBLE.with_component("joint1/sensor", LinkEncoder(offset=0.1)), "J_m", "J_a", "F_cm")
-    batch = make_batch(
-        truth, records(truth, range(3), ("q_a1",), amplitude=10.0), noise_std=NOISE, signal_share=0.0
-    )
-    results = fit(away(truth, 1.2), batch)
-    assert np.abs(scores(results, truth)).max() < 4.0
-
-
 @pytest.mark.parametrize("output", ["v_m1", "q_a1"])
 def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     noise = {"v_m1": 0.5, "q_a1": 1e-4}
@@ -260,24 +209,6 @@ def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     ]
     results = fit(away(RIGID), make_batch(RIGID, runs, noise_std=noise, signal_share=0.0))
     assert_recovered(results, RIGID)
-
-
-def test_records_of_different_length_and_sample_time_pool() -> None:
-    generator = np.random.default_rng(0)
-    runs = []
-    for k, (samples, step) in enumerate(((701, 0.002), (400, 0.005), (997, 0.001))):
-        voltage = multisine(k, samples=samples, step=step, rest=round(0.1 / step))
-        runs.append(make_record(RIGID, voltage, seed=k, noise=NOISE, step=step, name=f"r{k}"))
-    steps = 0.002 * generator.uniform(0.6, 1.4, 599)  # jittered stamps, used as they are
-    voltage = multisine(9, samples=600)
-    y = measure(RIGID, {"u1": voltage}, step=steps, engine=Engine(substeps=4))["q_m1"]
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    runs.append(
-        Record("jittered", time, {"u1": voltage}, {"q_m1": y + 0.02 * generator.standard_normal(600)})
-    )
-    (found,) = fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert_recovered([found], RIGID)
-    assert found.n_samples == 701 + 400 + 997 + 600
 
 
 def bench(channels: dict[str, np.ndarray | float], system: System, seed: int, noise: float = 0.02) -> Record:

@@ -9,7 +9,6 @@ from paper.twins import config as config_of
 
 from hybrid_id.errors import InputError
 from hybrid_id.machines.physics.stick_slip import integrate
-from hybrid_id.paper.demo import DEMO
 from hybrid_id.paper.twin import (
     DRIFTING,
     KINDS,
@@ -78,15 +77,6 @@ def test_truth_drifts_run_by_run_within_its_bounds() -> None:
     assert np.abs(np.corrcoef(ratios[:, drifting].T) - np.eye(5)).max() < 0.6, "each factor is its own"
 
 
-def test_without_disturbances_only_rounding_is_left(short: dict) -> None:
-    short["disturbances"] |= {"torque_noise": 0.0, "encoder_noise": 0.0, "torque_ripple": None}
-    dataset, truths = make_campaign(short, 1)
-    for record, output in zip(dataset, replay(short, dataset.records, truths), strict=True):
-        assert np.abs(record.outputs["q_m1"] - output["q_m1"]).max() <= np.pi / 128 * (1 + 1e-9)
-        gradient = np.gradient(output["q_m1"], 0.002)
-        assert np.abs(gradient - output["v_m1"])[5:-5].max() < 4
-
-
 @pytest.mark.parametrize("stage", STAGES)
 def test_stage_repeats_by_seed_and_its_truth_replays_it(stage: str) -> None:
     config = brief(stage)
@@ -134,11 +124,6 @@ def test_folder_holds_records_models_and_truth(short: dict, tmp_path: Path) -> N
     assert read_yaml(tmp_path / "twin" / "model.yaml") == model_description(short, 3)
     with_priors = read_yaml(tmp_path / "twin" / "model_priors.yaml")["parameters"]
     assert {name for name, entry in with_priors.items() if "prior_std" in entry} == {"P_m1", "P_m2"}
-
-
-def test_demo_is_ready_to_identify(tmp_path: Path) -> None:
-    dataset, truths = write_campaign(tmp_path / "demo", DEMO, 0)
-    assert len(dataset.train) == 5 and len(dataset.test) == 1 and len(truths) == 6
 
 
 @pytest.mark.parametrize(

@@ -27,17 +27,12 @@ from hybrid_id.components import (
     TorqueMotor,
     TwoInertias,
     Viscous,
-    Voltage,
 )
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
-from hybrid_id.systems import System, one_link, one_link_flexible
+from hybrid_id.systems import one_link, one_link_flexible
 
 FRICTION = "joint1/motor_friction"
-
-
-def parts(*more) -> list:
-    return [("joint1/input", Voltage()), ("joint1/motor", DCMotor()), ("joint1/transmission", Rigid()), *more]
 
 
 @pytest.mark.parametrize(
@@ -163,21 +158,6 @@ def test_systems_travel() -> None:
     fresh.load_state_dict(system.state_dict())
     assert torch.equal(fresh.theta(), system.theta())
     assert [i.spec.value for i in fresh.table] == [i.spec.value for i in system.table]
-
-
-def test_gradient_reaches_the_torch_parameters() -> None:
-    system = rigid_drive()
-    system.theta().square().sum().backward()
-    assert all(value.grad is not None for value in system.parameters())
-
-
-def test_order_of_construction_does_not_matter_to_the_motion() -> None:
-    forward = System([10.0], parts((FRICTION, Coulomb()), (FRICTION, Viscous()), ("joint1/load", OneLink())))
-    backward = System(
-        [10.0], [("joint1/load", OneLink()), (FRICTION, Viscous()), (FRICTION, Coulomb()), *parts()]
-    )
-    u = 6.0 * np.sin(0.05 * np.arange(100))
-    np.testing.assert_allclose(run(forward, {"u1": u})["q_m1"], run(backward, {"u1": u})["q_m1"], rtol=1e-12)
 
 
 def test_table_has_one_order_however_a_system_was_built() -> None:

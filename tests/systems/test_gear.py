@@ -18,7 +18,7 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems import System, one_link, one_link_flexible
+from hybrid_id.systems import System, one_link
 
 RATIO, J, SHARE = 20.0, 3e-5, 0.4
 FREE = one_link(RATIO).with_values(
@@ -55,14 +55,6 @@ def test_rigid_gear_with_kinematic_error_against_its_lagrangian() -> None:
     np.testing.assert_allclose(found[:, 0], q, atol=1e-3)
     link_angle = q / RATIO + e_c * (np.cos(q) - 1) + e_s * np.sin(q) + e_2 * np.sin(2 * q)
     np.testing.assert_allclose(found[:, 1], link_angle, atol=1e-4)
-
-
-def test_without_amplitude_the_gear_is_the_ideal_one() -> None:
-    none = KinematicError(E_c=0.0, E_s=0.0)
-    volts = 2.0 * np.sin(np.arange(200) / 20.0)
-    for system in (FREE, one_link_flexible(RATIO)):
-        same = run(system.with_component("joint1/transmission", none), volts)
-        np.testing.assert_allclose(same, run(system, volts), rtol=1e-9, atol=1e-12)
 
 
 def test_a_gear_of_constant_efficiency_passes_on_its_share_of_the_torque() -> None:

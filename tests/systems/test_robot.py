@@ -1,11 +1,9 @@
 """Drives at the joints of a rigid-body tree: the planar arm it contains, MuJoCo beside it, stick and slip of six."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from hybrid_id.components.friction.coulomb import Coulomb
 from hybrid_id.components.friction.load_dependent import LoadDependent
@@ -21,16 +19,11 @@ from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems import two_link
 from hybrid_id.systems.builders import robot
 from hybrid_id.systems.chain import System
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 STEP = 0.002
-
-
-def rows(values):
-    return [torch.tensor([v], dtype=torch.float64) for v in values]
 
 
 def planar(first=(1.2, 0.15, 0.02), second=(0.8, 0.2, 0.015), length=0.4):
@@ -45,46 +38,6 @@ def planar(first=(1.2, 0.15, 0.02), second=(0.8, 0.2, 0.015), length=0.4):
         TreeJoint("elbow", "hinge", 0, IDENTITY, (length, 0.0, 0.0)),
     )
     return RigidBodyTree(joints, (body("upper", 0, *first), body("lower", 1, *second)), (0.0, 0.0, 0.0))
-
-
-def stored(system):
-    return [value[None] for value in system.theta().detach()]
-
-
-def test_the_papers_two_links_are_a_tree_of_two() -> None:
-    """P_1 ... P_4 of eq. (13) and (14) from masses and lengths, and the same accelerations at any state."""
-    r, length = (20.0, 15.0), 0.4
-    (m_1, c_1, i_1), (m_2, c_2, i_2), rotor = (1.2, 0.15, 0.02), (0.8, 0.2, 0.015), (2e-5, 1e-5)
-    p_4 = i_2 + m_2 * c_2**2
-    values = {
-        "P_1": i_1 + m_1 * c_1**2 + p_4 + m_2 * length**2 + rotor[0] * r[0] ** 2,
-        "P_2": p_4 + rotor[1] * r[1] ** 2,
-        "P_3": m_2 * length * c_2,
-        "P_4": p_4,
-    }
-    plain = two_link(r).with_component("joint1/load", JointCoupling()).with_values(values)
-    tree = robot(planar(length=length), r).with_values(
-        {
-            info.name: rotor[int(info.component[5]) - 1]
-            for info in robot(planar(), r).table
-            if info.symbol == "J_m"
-        }
-    )
-    rng = np.random.default_rng(0)
-    for _ in range(5):
-        q, v = rng.normal(size=2), rng.normal(size=2)
-        links = [(q * r), (v * r)]
-        x = rows([links[0][0], links[1][0], links[0][1], links[1][1]])
-        found = []
-        for system in (plain, tree):
-            p, none = system.views(stored(system)), [torch.zeros(1, dtype=torch.float64)] * 2
-            balances = system.balances(x, {c: rows([0.0])[0] for c in system.input_names}, p, none, none)
-            for speed in balances.speeds:
-                speed.smooth = speed.smooth * 0.0 + 1.0  # the same torques, whatever the drives are
-            found.append([float(a) for a in balances.accelerations([None, None], held=False)])
-            coupling = balances.couplings[0, 1]
-            found[-1] += [float(coupling), *(float(speed.inertia) for speed in balances.speeds)]
-        np.testing.assert_allclose(found[0], found[1], rtol=1e-10)
 
 
 ARM = """
@@ -183,31 +136,6 @@ def test_springs_and_play_at_several_of_six_joints_are_those_of_finer_steps(tmp_
     assert np.ptp(motion, axis=0)[:5].min() > 0.05
     assert apart(system, 8, 128) < 1e-5
     assert apart(system, 16, 128) < 2e-6
-
-
-def test_dry_friction_takes_energy_and_never_gives_any(tmp_path: Path) -> None:
-    """Without gravity and drive, an arm that was set in motion loses kinetic energy until all joints rest."""
-    pytest.importorskip("mujoco")
-    path = tmp_path / "arm.xml"
-    path.write_text(serial(6, 0.05).replace('damping="0.3"', ""))
-    tree = replace(load_tree(path), gravity=(0.0, 0.0, 0.0))
-    system, (time, torque) = robot(tree), torques(6, 3.0)
-    driven = np.where(time < 0.3, torque, 0.0)
-    record = Record(
-        "run",
-        time,
-        {f"tau{k + 1}": driven[k] for k in range(6)},
-        {f"q_m{k + 1}": 0.0 * time for k in range(6)},
-    )
-    batch = make_batch(system, [record], noise_std={f"q_m{k + 1}": 1.0 for k in range(6)})
-    x = simulate(system, Engine("dry", 2, compiled=compiler() is not None), batch).x[0]
-    q, v = x[:, 0::2], x[:, 1::2]
-    mass, _ = tree.dynamics(list(q.T), list(v.T))
-    whole = torch.stack([torch.stack([torch.as_tensor(m).expand(len(q)) for m in row]) for row in mass])
-    energy = 0.5 * torch.einsum("ti,ijt,tj->t", v, whole, v).numpy()[round(0.3 / STEP) + 1 :]
-    assert energy[0] > 1e-3
-    assert energy[-1] == 0.0
-    assert np.diff(energy).max() <= 1e-9 * energy[0]
 
 
 def test_a_coupling_beside_a_tree_is_refused() -> None:
