@@ -7,7 +7,6 @@ from drives import STEP, rigid_drive
 from scipy.integrate import solve_ivp
 
 from hybrid_id.components import (
-    Cogging,
     CurrentCommand,
     Deadband,
     ElectricalLag,
@@ -47,21 +46,6 @@ def test_deadband_in_both_forms() -> None:
     less, whole = Deadband(V_0=1.0, jump=0.0), Deadband(V_0=1.0, jump=1.0, width=1e-3)
     assert less.map(less.view(), u, 0 * u).tolist() == [-2.0, 0.0, 0.0, 0.0, 2.0]
     torch.testing.assert_close(whole.map(whole.view(), u, 0 * u), tensor([-3.0, 0.0, 0.0, 0.0, 3.0]))
-
-
-def test_saturation_limits_the_voltage() -> None:
-    part, u = Saturation(V_max=2.0), tensor([-5.0, -1.0, 0.0, 1.0, 5.0])
-    assert part.map(part.view(), u, 0 * u).tolist() == [-2.0, -1.0, 0.0, 1.0, 2.0]
-    high = simulated(DRIVE.with_component("joint1/input", part), np.full(300, 8.0))
-    np.testing.assert_allclose(high, simulated(DRIVE, np.full(300, 2.0)), rtol=1e-12)
-
-
-def test_cogging_does_no_work_over_a_turn() -> None:
-    part = Cogging(T_c=2e-3, T_s=-1e-3, n=7.0)
-    angle = tensor(np.linspace(0.0, 2 * np.pi, 701)[:-1])
-    torque = part.torque(part.view(), angle, 0 * angle).detach()
-    assert abs(float(torque.mean())) < 1e-12
-    assert float(torque.abs().max()) == pytest.approx(np.hypot(2e-3, 1e-3), rel=1e-3)
 
 
 def test_electrical_lag_against_the_winding_equation() -> None:

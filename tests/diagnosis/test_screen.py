@@ -9,10 +9,9 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
+from hybrid_id.diagnosis.fits import COARSE, FINER, Task
 from hybrid_id.diagnosis.screen import (
     _from_afar,
-    _worth_it,
     best_of_each,
     better_ways,
     effects_of,
@@ -66,36 +65,6 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
     assert simplest_first(sure, small) == sure
     assert simplest_first(sure, large) == [bias, sure[0], weight]
-
-
-def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
-    before: Any = Fitted((), 5.0)
-
-    def limit(error: float, iterations: int, **other: Any) -> float:
-        """The largest error, by hundredths, with which a rival is fitted further."""
-        best: Any = Fitted((("spring_load", "joint1/load"),), error, **{"judged": False, **other})
-        errors = [0.01 * k for k in range(1, 1000)]
-        able = (
-            e for e in errors if _worth_it(cast(Any, Fitted((), e, judged=False)), best, before, iterations)
-        )
-        return max(able)
-
-    # half of what the best closes where it leaves structure, and what the records may not distinguish from it
-    assert (
-        limit(3.0, FINER, no_structure=False) == limit(3.0, FULL, no_structure=False) == pytest.approx(3.99)
-    )
-    assert limit(1.0, FULL, no_structure=False) == pytest.approx(2.99)
-    assert limit(4.0, FULL, no_structure=False) == pytest.approx(4.0 / 0.89**2, abs=0.01)
-    # beside one that leaves none: what may come down to it yet, and to the end its rivals alone
-    assert limit(1.0, FINER) == pytest.approx(2.49)
-    assert limit(1.0, FULL) == pytest.approx(1.39)
-    # none beyond a tenth of what it closes that surely errs more, be it by less than laws differ
-    assert limit(4.0, FULL) == pytest.approx(4.0 / 0.89**2, abs=0.01)
-    assert limit(4.0, FULL, z=6.0) == pytest.approx(4.09)
-    # errors on records left out and those of fits are not compared
-    assert limit(4.0, FULL, z=6.0, judged=True) == limit(4.0, FULL)
-    # one that will not be accepted has no rivals
-    assert limit(4.96, FULL) == pytest.approx(4.97)
 
 
 def test_where_structure_is_left_a_simple_law_leads_that_does_most_of_it() -> None:

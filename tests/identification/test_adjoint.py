@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from drives import make_record, make_records, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 from torch import nn
 
 from hybrid_id import __version__
@@ -109,23 +109,6 @@ def test_robust_loss_takes_the_weight_off_spikes(batch: Batch) -> None:
     (plain,) = train(TRUTH, spiked, options=TrainOptions(windows=()))
     truth = np.array([TRUTH.parameter(n).spec.value for n in robust.names])
     assert np.abs(robust.values / truth - 1).max() < 0.5 * np.abs(plain.values / truth - 1).max()
-
-
-def test_records_of_different_length_and_sample_time_train_side_by_side() -> None:
-    long, short = (
-        make_record(
-            TRUTH, multisine(k, samples=n, rest=10, step=step), seed=k, noise=NOISE, name=f"run_{n}", engine=SMOOTH,
-            step=step,
-        )
-        for k, (n, step) in enumerate(((400, 0.002), (150, 0.003)))
-    )  # fmt: skip
-    together = train(
-        START, make_batch(TRUTH, [long, short], noise_std=NOISE, signal_share=0.0), options=QUICK
-    )
-    for result, record in zip(together, (long, short), strict=True):
-        (alone,) = fit(START, make_batch(TRUTH, [record], noise_std=NOISE, signal_share=0.0), engine=SMOOTH)
-        assert result.n_samples == record.n_samples
-        assert np.abs(in_standard_errors(result, alone)).max() < 0.05
 
 
 # --- stop, resume, fail --------------------------------------------------------------------------------------------

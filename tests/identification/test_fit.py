@@ -184,14 +184,6 @@ def test_robust_losses_resist_outliers(loss: Loss) -> None:
     assert error[loss.kind] < 0.4 * error["l2"] and error[loss.kind] < 0.01, error
 
 
-def test_perfect_records_are_fitted_to_the_end() -> None:
-    ideal = make_record(TRUTH, multisine(0, samples=800), seed=0, noise={}, engine=Engine())
-    one = make_batch(TRUTH, [ideal], noise_std={"q_m1": 1e-3}, signal_share=0.0)
-    (found,) = fit(TRUTH.with_values({"J": 2.4e-5, "F_c": 0.013, "F_v": 4e-5}), one)
-    assert found.status == "converged", found.status
-    np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=1e-4)
-
-
 def test_a_fit_goes_on_from_the_first_states_of_an_earlier_one(batch: Batch) -> None:
     start = TRUTH.with_values({"J": 6e-5, "F_c": 0.002})
     (first,) = fit(start, batch, pooled=True)

@@ -7,20 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from drives import STEP, flexible_drive, make_record, make_records, measure, multisine, only, rigid_drive
+from drives import flexible_drive, make_record, make_records, multisine, only, rigid_drive
 from scipy import stats
 
 from hybrid_id.components import (
-    AsymmetricStribeck,
     Component,
     Dahl,
     LoadDependent,
     LuGre,
     MotorEncoder,
-    PositionLoop,
     Stribeck,
-    TorqueCommand,
-    TorqueMotor,
 )
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.result import FitResult
@@ -116,20 +112,6 @@ def test_rigid_drive_pooled_is_sharper() -> None:
     np.testing.assert_allclose(parts, information(pooled) / np.outer(pooled.values, pooled.values), rtol=0.2)
 
 
-def test_asymmetric_stribeck_with_its_motor_known() -> None:
-    table = dict(
-        f_11=0.010, f_12=0.030, f_13=10.5, f_14=53.0, f_21=0.012, f_22=0.031, f_23=11.3, f_24=58.0, f_3=5e-5
-    )
-    free = ("J", *table)
-    truth = only(rigid_drive(AsymmetricStribeck(**table)), *free)
-    voltages = [multisine(k, samples=2500, amplitude=a) for k, a in enumerate((2.5, 4.0, 8.0, 3.0))]
-    runs = make_records(truth, voltages, noise=NOISE)
-    (found,) = fit(away(truth, 1.4), make_batch(truth, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert found.status == "converged"
-    z = scores([found], truth)
-    assert np.abs(z).max() < 3.5, dict(zip(found.names, z[0], strict=True))
-
-
 @pytest.mark.parametrize("outputs", [("q_m1",), ("q_m1", "q_a1")], ids=["motor", "both sides"])
 def test_flexible_drive(outputs: tuple[str, ...]) -> None:
     # reversals excite the spring; with the motor's encoder alone it is told through its reaction
@@ -209,45 +191,6 @@ def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     ]
     results = fit(away(RIGID), make_batch(RIGID, runs, noise_std=noise, signal_share=0.0))
     assert_recovered(results, RIGID)
-
-
-def bench(channels: dict[str, np.ndarray | float], system: System, seed: int, noise: float = 0.02) -> Record:
-    """A record of a system under any channels."""
-    samples = max(np.size(c) for c in channels.values())
-    y = measure(system, channels, engine=Engine(substeps=4))["q_m1"]
-    noisy = y + noise * np.random.default_rng(seed).standard_normal(samples)
-    inputs = {name: np.broadcast_to(c, samples) for name, c in channels.items()}
-    return Record(f"r{seed}", STEP * np.arange(samples), inputs, {"q_m1": noisy})
-
-
-def test_commanded_torque_tells_absolute_values() -> None:
-    truth = rigid_drive().with_component("joint1/motor", TorqueMotor())
-    truth = only(truth.with_component("joint1/input", TorqueCommand()), "J", "F_c", "F_v")
-    runs = [bench({"tau1": 0.0025 * multisine(k, samples=800)}, truth, k) for k in range(4)]
-    results = fit(away(truth), make_batch(truth, runs, noise_std=NOISE, signal_share=0.0))
-    assert_recovered(results, truth)
-    assert rank(information(results[0])) == 3
-
-
-def test_motor_that_is_switched_off_now_and_then() -> None:
-    enable = (np.arange(800) % 300 < 200).astype(float)
-    runs = [bench({"u1": multisine(k, samples=800), "enable1": enable}, RIGID, k) for k in range(4)]
-    assert_recovered(fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0)), RIGID)
-
-
-def test_servo_in_its_position_loop() -> None:
-    truth = rigid_drive(ratio=1.0).with_component("joint1/input", PositionLoop(duty_per_rad=0.003))
-    truth = only(truth.with_values({"J": 2e-4, "F_c": 0.02}), "J", "F_c", "P_m2")
-    time = STEP * np.arange(1000)
-    runs = [
-        bench(
-            {"goal1": np.sin(2 * np.pi * (0.5 + 0.5 * k) * time + k) * (time > 0.1), "gain1": 400.0, "supply1": 12.0},
-            truth, k, 1e-3,
-        )
-        for k in range(4)
-    ]  # fmt: skip
-    results = fit(away(truth), make_batch(truth, runs, noise_std={"q_m1": 1e-3}, signal_share=0.0))
-    assert_recovered(results, truth)
 
 
 @pytest.mark.parametrize(

@@ -262,8 +262,3 @@ def test_gradients_reach_weights_beyond_the_table() -> None:
 def test_impossible_settings_are_refused_by_name(settings: dict) -> None:
     with pytest.raises(InputError, match=f"(?i){next(iter(settings))}"):
         OdeEngine(**{"rtol" if name == "tolerances" else name: value for name, value in settings.items()})
-
-
-def test_half_a_step_is_half_of_every_step() -> None:
-    assert (OdeEngine(substeps=2, fine=8).halved().substeps, OdeEngine(fine=8).halved().fine) == (4, 16)
-    assert OdeEngine(method="dopri5", rtol=1e-5).halved().rtol == pytest.approx(1e-6)

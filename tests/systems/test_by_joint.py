@@ -157,11 +157,6 @@ def test_what_a_joint_alone_lacks_is_said(tmp_path: Path) -> None:
         alone(alone(system, 1), 0)
 
 
-def test_a_floor_needs_a_point_of_the_robot(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'hand', which the robot does not have; give one of"):
-        arm(tmp_path).with_component("joint3/load", FloorContact("hand"))
-
-
 def test_what_two_joints_touch_is_one_floor_at_one_point_and_two_at_two(tmp_path: Path) -> None:
     system = arm(tmp_path)
 

@@ -2,9 +2,7 @@
 
 # pyright: reportAttributeAccessIssue=false
 
-import copy
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -147,17 +145,6 @@ def test_values_and_specs_are_replaced_by_name() -> None:
 def test_prior_must_have_a_width(prior: float) -> None:
     with pytest.raises(InputError, match="prior_std"):
         OneLink(J=Bounded(2e-5, prior_std=prior))
-
-
-def test_systems_travel() -> None:
-    system = rigid_drive().with_component(FRICTION, Stribeck(F_drop=0.003))
-    for twin in (copy.deepcopy(system), pickle.loads(pickle.dumps(system))):
-        assert torch.equal(twin.theta(), system.theta())
-        assert [i.name for i in twin.table] == [i.name for i in system.table]
-    fresh = one_link(156.0).with_component(FRICTION, Stribeck())
-    fresh.load_state_dict(system.state_dict())
-    assert torch.equal(fresh.theta(), system.theta())
-    assert [i.spec.value for i in fresh.table] == [i.spec.value for i in system.table]
 
 
 def test_table_has_one_order_however_a_system_was_built() -> None:

@@ -49,11 +49,6 @@ def test_table_is_broad_and_its_sound_model_is_sound(tmp_path: Path) -> None:
     assert system.parameter("F_drop").spec.value == 0.004
 
 
-def test_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.yaml does not exist"):
-        load_model(tmp_path / "nowhere.yaml")
-
-
 SYSTEMS = {
     "vertical": one_link(156.0, vertical=True),
     "frictionless": one_link().without_component(FRICTION, "viscous_friction"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from drives import STEP, batch_of, run, stored
+from drives import STEP, run, stored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from machines.scipy_reference import integrate_scipy
@@ -14,7 +14,6 @@ from hybrid_id.components import (
     JointCoupling,
     KinematicError,
     LinearSpring,
-    OneLink,
 )
 from hybrid_id.errors import InputError
 from hybrid_id.machines.physics import friction
@@ -238,13 +237,6 @@ def test_rotor_share_that_leaves_the_links_too_light_is_refused() -> None:
     heavy = arm({"P_3": 0.2})
     with pytest.raises(InputError, match="the links' own"):
         heavy.with_values({"rotor_share1": 0.9}).with_component("joint1/transmission", LinearSpring())
-
-
-def test_one_links_inertia_may_take_the_place_of_a_joints() -> None:
-    system = arm().without_component("joint1/load", "joint_coupling")
-    assert "J" in {i.name for i in system.with_component("joint2/load", OneLink(J=2e-5)).table}
-    batch = batch_of(system, {"u1": np.zeros(3), "u2": 0.0}, outputs=("q_m1", "q_a2", "tau2"))
-    assert batch.outputs == ("q_m1", "q_a2", "tau2")
 
 
 def test_errors_of_both_gears_against_the_lagrangian_of_the_arm() -> None:
