@@ -304,3 +304,25 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="'couplings' belongs to a robot"):
         load_model(file)
+
+
+def test_gradients_are_those_of_finite_differences(tmp_path: Path) -> None:
+    system = wrist(tmp_path, friction=0.05)
+    system = system.with_component("joint3/motor_friction", LoadDependent(mu=0.05))
+    system = system.with_component("joint2/load", Spring(k_s=1.0, q_s=0.1))
+    x = [torch.tensor([v], dtype=torch.float64) for v in (2.0, 5.0, -4.0, -30.0, 1.0, 7.0)]
+    u = {f"tau{k}": torch.tensor([0.01], dtype=torch.float64) for k in (1, 2, 3)}
+    dt, engine = torch.tensor([STEP], dtype=torch.float64), Engine("dry", 2)
+
+    def sample(theta):
+        return torch.cat(engine.sample(system, x, u, dt, system.views(list(theta[:, None]))))
+
+    theta = system.theta().detach()
+    exact = torch.as_tensor(torch.autograd.functional.jacobian(sample, theta))
+    for k in range(len(theta)):
+        h = 1e-5 * max(float(theta[k].abs()), 1e-6)
+        ahead, back = theta.clone(), theta.clone()
+        ahead[k] += h
+        back[k] -= h
+        slope = (sample(ahead) - sample(back)) / (2 * h)
+        np.testing.assert_allclose(exact[:, k], slope, rtol=1e-5, atol=1e-8 * float(slope.abs().max()) + 1e-9)

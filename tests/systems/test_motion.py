@@ -19,6 +19,7 @@ from hybrid_id.components import (
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible
 
 MOTOR, FRICTION = "joint1/motor", "joint1/motor_friction"
@@ -183,3 +184,20 @@ def test_a_record_without_the_load_is_refused() -> None:
     record = Record("r", STEP * np.arange(5), {"u1": zeros(5)}, {"q_m1": zeros(5)})
     with pytest.raises(InputError, match="w1"):
         make_batch(system, [record])
+
+
+def test_pendulum_keeps_its_energy_to_the_order_of_the_integrator() -> None:
+    r, g_l, inertia = 10.0, 2.0, 2e-3
+    system = one_link(r, vertical=True).with_values(
+        COASTING | {"J": inertia, "F_c": 0.0, "F_v": 0.0, "G_l": g_l}
+    )
+    drift = []
+    for substeps in (1, 2, 4):
+        x = run(system, {"u1": zeros(200)}, step=0.02, start={"q_m1": 15.0}, engine=Engine(substeps=substeps))
+        energy = 0.5 * inertia * x["v_m1"] ** 2 - g_l * np.cos(x["q_m1"] / r)
+        drift.append(np.abs(energy - energy[0]).max())
+    assert drift[0] / drift[1] > 12 and drift[1] / drift[2] > 12
+    assert drift[2] < 1e-6 * g_l
+    small = run(system, {"u1": zeros(200)}, start={"q_m1": 0.01}, step=0.01)
+    frequency = np.sqrt(g_l / (inertia * r**2))
+    np.testing.assert_allclose(small["q_m1"], 0.01 * np.cos(frequency * 0.01 * np.arange(200)), atol=1e-7)

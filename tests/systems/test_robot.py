@@ -1,9 +1,11 @@
 """Drives at the joints of a rigid-body tree: the planar arm it contains, MuJoCo beside it, stick and slip of six."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hybrid_id.components.friction.coulomb import Coulomb
 from hybrid_id.components.friction.load_dependent import LoadDependent
@@ -150,3 +152,49 @@ def test_a_drive_for_every_joint() -> None:
     with pytest.raises(InputError, match="2 joints and the system 1"):
         type(system)([1.0], [(k.rsplit("/", 1)[0], c) for k, c in system.components.items() if "joint1" in k],
                      tree=system.tree)  # fmt: skip
+
+
+def test_dry_friction_takes_energy_and_never_gives_any(tmp_path: Path) -> None:
+    """Without gravity and drive, an arm that was set in motion loses kinetic energy until all joints rest."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "arm.xml"
+    path.write_text(serial(6, 0.05).replace('damping="0.3"', ""))
+    tree = replace(load_tree(path), gravity=(0.0, 0.0, 0.0))
+    system, (time, torque) = robot(tree), torques(6, 3.0)
+    driven = np.where(time < 0.3, torque, 0.0)
+    record = Record(
+        "run",
+        time,
+        {f"tau{k + 1}": driven[k] for k in range(6)},
+        {f"q_m{k + 1}": 0.0 * time for k in range(6)},
+    )
+    batch = make_batch(system, [record], noise_std={f"q_m{k + 1}": 1.0 for k in range(6)})
+    x = simulate(system, Engine("dry", 2, compiled=compiler() is not None), batch).x[0]
+    q, v = x[:, 0::2], x[:, 1::2]
+    mass, _ = tree.dynamics(list(q.T), list(v.T))
+    whole = torch.stack([torch.stack([torch.as_tensor(m).expand(len(q)) for m in row]) for row in mass])
+    energy = 0.5 * torch.einsum("ti,ijt,tj->t", v, whole, v).numpy()[round(0.3 / STEP) + 1 :]
+    assert energy[0] > 1e-3
+    assert energy[-1] == 0.0
+    assert np.diff(energy).max() <= 1e-9 * energy[0]
+
+
+def test_gradients_of_a_sample_are_those_of_finite_differences(tmp_path: Path) -> None:
+    _, system = arm(tmp_path, friction=0.05, count=3)
+    system = system.with_component("joint2/motor_friction", LoadDependent(mu=0.05))
+    x = [torch.tensor([v], dtype=torch.float64) for v in (0.2, 0.5, -0.4, -0.3, 0.1, 0.7)]
+    u = {f"tau{k + 1}": torch.tensor([0.2], dtype=torch.float64) for k in range(3)}
+    dt, engine = torch.tensor([STEP], dtype=torch.float64), Engine("dry", 2)
+
+    def sample(theta):
+        return torch.cat(engine.sample(system, x, u, dt, system.views(list(theta[:, None]))))
+
+    theta = system.theta().detach()
+    exact = torch.as_tensor(torch.autograd.functional.jacobian(sample, theta))
+    for k in range(len(theta)):
+        h = 1e-5 * max(float(theta[k].abs()), 1e-3)
+        ahead, back = theta.clone(), theta.clone()
+        ahead[k] += h
+        back[k] -= h
+        slope = (sample(ahead) - sample(back)) / (2 * h)
+        np.testing.assert_allclose(exact[:, k], slope, rtol=1e-6, atol=1e-9 * float(exact.abs().max()))

@@ -3,13 +3,19 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from servo_arm import ARM as SERVO_ARM
 
+from hybrid_id import identify
 from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.robots.description import load_tree
 from hybrid_id.simulation.compiled import compiled_for, compiler
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.model_file import load_model, save_model
@@ -210,3 +216,38 @@ def test_an_ode_solver_replays_an_arm_by_its_own_steps(tmp_path: Path) -> None:
     system = load_model(written(tmp_path))
     assert compiled_for(system, OdeEngine()) == OdeEngine()
     assert compiled_for(system, Engine("smooth")).compiled == (compiler() is not None)
+
+
+def test_three_drives_are_recovered_from_torques_and_angles(tmp_path: Path) -> None:
+    truth = load_model(written(tmp_path))
+    rng, step, noise = np.random.default_rng(5), 0.004, 1e-4
+    time = step * np.arange(1000)
+    tones = 2 * np.pi * np.array([0.4, 0.9, 1.7, 2.6])
+    records = []
+    for k in range(4):
+        inputs = {}
+        for joint, size in ((1, 0.25), (2, 0.5), (3, 0.2)):
+            phases = rng.uniform(0, 2 * np.pi, 4)[:, None]
+            inputs[f"tau{joint}"] = (
+                size * np.sin(tones[:, None] * time + phases).sum(0) * np.minimum(time / 0.1, 1.0)
+            )
+        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in (1, 2, 3)})
+        batch = make_batch(truth, [blank], noise_std={f"q_m{j}": noise for j in (1, 2, 3)})
+        angles = simulate(truth, Engine("dry", 8, compiled=True), batch).y[0].numpy()
+        outputs = {f"q_m{j}": angles[:, j - 1] + noise * rng.standard_normal(len(time)) for j in (1, 2, 3)}
+        records.append(Record(blank.name, time, inputs, outputs, role="test" if k == 3 else "train"))
+    data = Dataset(
+        "arm",
+        tuple(Channel(f"tau{j}", "N m") for j in (1, 2, 3)),
+        tuple(Channel(f"q_m{j}", "rad", noise) for j in (1, 2, 3)),
+        tuple(records),
+        step,
+    )
+    guess = truth.with_values(
+        {info.name: 1.3 * info.spec.value for info in truth.table if info.spec.estimate}
+    )
+    study = identify(data, guess, pooled=True, engine=Engine("dry", 4))
+    values, errors = study.selected.values, study.standard_errors(study.selection.index)
+    for name, value, error in zip(study.names, values, errors, strict=True):
+        assert abs(value - truth.parameter(name).spec.value) < 4 * error + 1e-6, name
+    assert next(iter(study.test_nrmse.values())) < 0.01

@@ -235,3 +235,35 @@ def test_a_stage_without_a_position_loop_is_refused() -> None:
     ):
         make_batch(system, [Record("r", time, {"tau1": 0 * time}, {"q_m1": 0 * time})])
     assert Coulomb.kind in str(list(system.components))
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    system = whole()
+    goal = 0.3 * np.sin(np.arange(60) * STEP * 14.0) + 0.1
+    record = Record("r", STEP * np.arange(60), {"goal1": goal}, {"q_m1": 0.0 * goal + 0.05})
+    batch = make_batch(system, [record], noise_std={"q_m1": 1.0})
+    engine, theta = Engine("dry", 2), system.theta().detach()
+
+    def end(values):
+        """States after all samples, of one lane a column of values."""
+        x = [row.expand(values.shape[1]) for row in batch.x[:, 0].unbind(1)]
+        p = system.views(list(values))
+        for k in range(59):
+            u = {n: c[:, k].expand(values.shape[1]) for n, c in batch.u.items()}
+            x = engine.sample(system, x, u, batch.dt[:, k].expand(values.shape[1]), p)
+        return torch.stack(x)
+
+    exact = torch.as_tensor(torch.autograd.functional.jacobian(lambda t: end(t[:, None])[:, 0], theta))
+    names = [info.name for info in system.table]
+    assert float(exact[0].abs()[names.index("w_i")]) > 0
+    h = 1e-6 * theta.abs().clamp_min(1e-3)
+    with torch.no_grad():
+        ahead, back = end(theta[:, None] + torch.diag(h)), end(theta[:, None] - torch.diag(h))
+    slopes = (ahead - back) / (2.0 * h)
+    for k, name in enumerate(names):
+        if name in ("rotor_share", "gain"):
+            continue
+        slope = slopes[:, k]
+        np.testing.assert_allclose(
+            exact[:, k], slope, rtol=1e-4, atol=1e-6 * float(slope.abs().max()) + 1e-8, err_msg=name
+        )

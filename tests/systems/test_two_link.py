@@ -280,3 +280,25 @@ def test_errors_of_both_gears_against_the_lagrangian_of_the_arm() -> None:
     u = {f"u{k}": torch.tensor([one]).double() for k, one in zip((1, 2), volts, strict=True)}
     rates = system.rates(x, u, system.views(list(stored(system))))
     np.testing.assert_allclose([rates[1].item(), rates[3].item()], expected.numpy(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("vertical", [False, True])
+def test_energy_is_kept_without_friction_and_motors(vertical: bool) -> None:
+    ratio = (10.0, 7.0)
+    system = arm(COASTING, ratio, vertical=vertical)
+    start = {"q_m1": 8.0, "v_m1": 25.0, "q_m2": -6.0, "v_m2": -30.0}
+    drift = []
+    for substeps in (1, 2, 4):
+        x = run(
+            system, {"u1": np.zeros(200), "u2": 0.0}, step=0.01, start=start, engine=Engine(substeps=substeps)
+        )
+        (q_1, q_2), (v_1, v_2) = ((x[f"{s}1"] / ratio[0], x[f"{s}2"] / ratio[1]) for s in ("q_m", "v_m"))
+        c = np.cos(q_2)
+        energy = (
+            0.5 * (1.101 + 2 * 0.148 * c) * v_1**2 + (0.068 + 0.148 * c) * v_1 * v_2 + 0.5 * 0.136 * v_2**2
+        )
+        energy = energy - (10.0 * np.cos(q_1) + 3.0 * np.cos(q_1 + q_2) if vertical else 0.0)
+        drift.append(np.abs(energy - energy[0]).max() / np.ptp(0.5 * v_1**2))
+    assert drift[0] / drift[1] > 12 and drift[1] / drift[2] > 12, drift
+    assert drift[2] < 1e-5
+    assert np.ptp(q_2) > 2.0
