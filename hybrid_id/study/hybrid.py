@@ -324,7 +324,32 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
         # the least change of the parameters that comes nearest to what the network causes
         size = lengths.clamp_min(1e-300)
         nearest = (torch.linalg.pinv(physical / size, rtol=1e-6) @ caused / size).tolist()
-        speed, angle, values_at, seen = _map(system, place, networks, part, x, u, p)
+        with torch.no_grad():  # its output on a grid of speeds and angles
+            at_link = place in LINK_PLACES
+            angle, speed = (
+                joint.link_motion(x, p) if at_link else (x[joint.positions[0]], x[joint.positions[0] + 1])
+            )[:2]
+            turn = 2.0 * torch.pi
+            low, high = float(angle.min()), float(angle.max())
+            if high - low > turn and not any(name == "angle" for name in part.inputs):
+                low, high = 0.0, turn  # what knows the angle by its sine and cosine alone repeats itself
+            reach = float(speed.abs().max())
+            speeds = torch.linspace(-reach, reach, GRID, dtype=speed.dtype, device=speed.device)
+            angles = torch.linspace(low, high, GRID, dtype=angle.dtype, device=speed.device)
+            v, q = (grid.reshape(-1) for grid in torch.meshgrid(speeds, angles, indexing="ij"))
+            signals = []
+            for read, signal in zip(part.inputs, networks.signals(place, x, u, p)[0], strict=True):
+                if match := HARMONIC.fullmatch(read):
+                    signals.append((torch.sin if match[1] == "sin" else torch.cos)(float(match[2]) * q))
+                elif read in ("angle", "speed", "direction"):
+                    signals.append(q if read == "angle" else v)
+                else:
+                    signals.append(signal.mean().expand_as(q))
+            rest = [torch.zeros_like(q)] * part.memory
+            key = networks.by_place[place][0]
+            on_grid = part.output(p[key], signals, rest).reshape(GRID, GRID)
+            wrapped = angle if high - low != turn else angle % turn
+            seen = torch.stack([speed, wrapped], 1)[::10]
         found.append(
             NetworkRole(
                 f"{joint.name}/{place}", joint.drive.input[1].gives if place == "input" else "N m",
@@ -334,7 +359,7 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
                 float((basis.T @ caused).norm()) / length if length > 0 else 0.0,
                 tuple(alike), dict(zip(free, nearest, strict=True)),
                 dict(zip(free, (length / lengths.clamp_min(1e-300)).tolist(), strict=True)),
-                speed, angle, values_at, seen,
+                *(grid.cpu().numpy() for grid in (speeds, angles, on_grid, seen)),
             )
         )  # fmt: skip
     return tuple(found)
@@ -342,38 +367,6 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
 
 def _ratio(part: Tensor, whole: Tensor) -> float:
     return float(part / whole) if float(whole) > 0 else 0.0
-
-
-@torch.no_grad()
-def _map(system: System, place: str, networks, part, x, u, p) -> tuple[np.ndarray, ...]:
-    """Speeds, angles and the network's output on their grid, and the speeds and angles that the records visit."""
-    joint = networks.joint
-    at_link = place in LINK_PLACES
-    angle, speed = (
-        joint.link_motion(x, p) if at_link else (x[joint.positions[0]], x[joint.positions[0] + 1])
-    )[:2]
-    turn = 2.0 * torch.pi
-    low, high = float(angle.min()), float(angle.max())
-    if high - low > turn and not any(name == "angle" for name in part.inputs):
-        low, high = 0.0, turn  # what knows the angle by its sine and cosine alone repeats itself
-    reach = float(speed.abs().max())
-    speeds = torch.linspace(-reach, reach, GRID, dtype=speed.dtype, device=speed.device)
-    angles = torch.linspace(low, high, GRID, dtype=angle.dtype, device=speed.device)
-    v, q = (grid.reshape(-1) for grid in torch.meshgrid(speeds, angles, indexing="ij"))
-    signals = []
-    for name, signal in zip(part.inputs, networks.signals(place, x, u, p)[0], strict=True):
-        if match := HARMONIC.fullmatch(name):
-            signals.append((torch.sin if match[1] == "sin" else torch.cos)(float(match[2]) * q))
-        elif name in ("angle", "speed", "direction"):
-            signals.append(q if name == "angle" else v)
-        else:
-            signals.append(signal.mean().expand_as(q))
-    rest = [torch.zeros_like(q)] * part.memory
-    key = networks.by_place[place][0]
-    output = part.output(p[key], signals, rest).reshape(GRID, GRID)
-    wrapped = angle if high - low != turn else angle % turn
-    seen = torch.stack([speed, wrapped], 1)[::10]
-    return speeds.cpu().numpy(), angles.cpu().numpy(), output.cpu().numpy(), seen.cpu().numpy()
 
 
 def hybrid_residuals(
