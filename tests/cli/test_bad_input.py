@@ -4,29 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from malformed import Malformed, contents, malformed_datasets, refused, write_sound_dataset
-from malformed_models import MalformedModel, malformed_models, write_sound_model
-
-
-@pytest.mark.parametrize("case", malformed_datasets(), ids=lambda case: case.name)
-def test_malformed_dataset(case: Malformed, run, tmp_path: Path) -> None:
-    for name in ("data", "model"):
-        (tmp_path / name).mkdir()
-    dataset, model = case.build(tmp_path / "data"), write_sound_model(tmp_path / "model")
-    before = contents(tmp_path)
-    refused(run("identify", dataset, "--model", model, "--out", tmp_path / "new" / "out"), *case.names)
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.parametrize("case", malformed_models(), ids=lambda case: case.name)
-def test_malformed_model(case: MalformedModel, run, tmp_path: Path) -> None:
-    for name in ("data", "model"):
-        (tmp_path / name).mkdir()
-    dataset, model = write_sound_dataset(tmp_path / "data"), case.build(tmp_path / "model")
-    before = contents(tmp_path)
-    refused(run("simulate", dataset, "--model", model, "--out", tmp_path / "out"), *case.names)
-    assert contents(tmp_path) == before
-
+from malformed import contents, malformed_datasets, refused
+from malformed_models import malformed_models
 
 # Each study file's text, and what the sentence must name. DATA is a sound dataset, MODEL a sound model.
 CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -69,14 +48,28 @@ CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
+FILES = {
+    f"{kind}: {case.name}": (kind, case)
+    for kind, cases in (("data", malformed_datasets()), ("model", malformed_models()))
+    for case in cases
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_malformed_files(name: str, run, sound: tuple[Path, Path], tmp_path: Path) -> None:
+    kind, case = FILES[name]
+    case.spoil(tmp_path / kind)
+    before = contents(tmp_path)
+    told = run("identify", sound[0], "--model", sound[1], "--out", tmp_path / "new" / "out")
+    refused(told, *case.names)
+    assert contents(tmp_path) == before and "\x1b" not in told.err
+
+
 @pytest.mark.parametrize("name", CONFIGS)
-def test_malformed_config(name: str, run, tmp_path: Path) -> None:
-    for folder in ("data", "model"):
-        (tmp_path / folder).mkdir()
-    dataset, model = write_sound_dataset(tmp_path / "data"), write_sound_model(tmp_path / "model")
+def test_malformed_config(name: str, run, sound: tuple[Path, Path], tmp_path: Path) -> None:
     text, names = CONFIGS[name]
     config = tmp_path / "study.yaml"
-    config.write_text(text.replace("DATA", str(dataset)).replace("MODEL", str(model)))
+    config.write_text(text.replace("DATA", str(sound[0])).replace("MODEL", str(sound[1])))
     before = contents(tmp_path)
     refused(run("identify", config, "--out", tmp_path / "out"), *names)
     assert contents(tmp_path) == before
@@ -142,16 +135,10 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
-def test_wrong_arguments(name: str, run, tmp_path: Path) -> None:
-    for folder in ("data", "model"):
-        (tmp_path / folder).mkdir()
+def test_wrong_arguments(name: str, run, sound: tuple[Path, Path], tmp_path: Path) -> None:
     line, prepare, names = ARGUMENTS[name]
     prepare(tmp_path)
-    given = {
-        "data": write_sound_dataset(tmp_path / "data"),
-        "model": write_sound_model(tmp_path / "model"),
-        "out": tmp_path / "out",
-    }
     before = contents(tmp_path)
-    refused(run(*(word.format(**given) for word in line.split())), *names)
+    words = [word.format(data=sound[0], model=sound[1], out=tmp_path / "out") for word in line.split()]
+    refused(run(*words), *names)
     assert contents(tmp_path) == before
