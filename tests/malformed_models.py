@@ -5,6 +5,7 @@ code 2 from a command) whose one sentence names the file and holds every string 
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,17 +86,15 @@ def malformed_models() -> list[Malformed]:
         ("two bristles", ("bristle",), added("dahl", "lugre")),
         ("law listed twice", ("coulomb_friction", "'F_c'"), added("coulomb_friction", parameters={"F_c": 0.02})),
     ]  # fmt: skip
-    changed = [
-        Malformed(
-            name,
-            names,
-            lambda folder, change=change: change_yaml(folder, change, "model.yaml"),
-            write_sound_model,
-        )
-        for name, names, change in rows
+    changes = {name: partial(change_yaml, change=change, name="model.yaml") for name, _, change in rows}
+    cases = [Malformed(name, names, changes[name], write_sound_model) for name, names, _ in rows]
+    texts = {
+        ("runs code", ("YAML",)): "system: !!python/object/apply:os.getcwd []\n",
+        ("long name", ("robot.file", "is longer than the name of any")): f"robot: {{file: {'r' * 300}}}\n",
+    }
+    return cases + [
+        Malformed(*of, write("model.yaml", text), write_sound_model) for of, text in texts.items()
     ]
-    code = write("model.yaml", "system: !!python/object/apply:os.getcwd []\n")
-    return [*changed, Malformed("runs code", ("YAML",), code, write_sound_model)]
 
 
 def content_of(name: str) -> Callable[..., Callable[[dict], None]]:

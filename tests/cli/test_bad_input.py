@@ -8,44 +8,27 @@ from malformed import contents, malformed_datasets, refused
 from malformed_models import malformed_models
 
 # Each study file's text, and what the sentence must name. DATA is a sound dataset, MODEL a sound model.
+BOTH = "dataset: DATA\nmodel: MODEL\n"
 CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
     "misspelt key": ("dataset: DATA\nidentification: {start: 3}\n", ("identification.start", "'starts'")),
     "no dataset": ("model: MODEL\n", ("study.yaml", "'dataset'", "missing")),
     "dataset of no place": ("dataset: nowhere\nmodel: MODEL\n", ("nowhere", "does not exist")),
     "model of no place": ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
-    "dataset as model": (
-        "dataset: DATA\nmodel: DATA/dataset.yaml\n",
-        ("dataset.yaml", "is a dataset file", "model file"),
-    ),
+    "dataset as model": ("dataset: DATA\nmodel: DATA/dataset.yaml\n", ("is a dataset file", "model file")),
     "model as dataset": ("dataset: MODEL\nmodel: MODEL\n", ("is a model file", "dataset file")),
-    "word for a number": (
-        "dataset: DATA\nidentification: {starts: many}\n",
-        ("identification.starts", "many"),
-    ),
-    "unknown record": (
-        "dataset: DATA\nmodel: MODEL\npreprocessing: {records: [rec_7]}\n",
-        ("'rec_7'", "rec_0"),
-    ),
-    "window upside down": (
-        "dataset: DATA\nmodel: MODEL\npreprocessing: {between: [5, 1]}\n",
-        ("between [5, 1] is reversed",),
-    ),
-    "step longer than the record": (
-        "dataset: DATA\nmodel: MODEL\npreprocessing: {resample: {sample_time: 5}}\n",
-        ("'rec_0'", "5 s"),
-    ),
-    "unknown device": ("dataset: DATA\nmodel: MODEL\nidentification: {device: abacus}\n", ("'abacus'",)),
-    "stage holds a stranger": (
-        "dataset: DATA\nmodel: MODEL\nprevious: {model: MODEL, hold: [f_3]}\n",
-        ("previous", "'f_3'", "both models have"),
-    ),
-    "stage without its model": (
-        "dataset: DATA\nmodel: MODEL\nprevious: {model: nowhere.yaml}\n",
-        ("nowhere.yaml",),
-    ),
+    "name of 300 signs": (f"dataset: {'r' * 300}\nmodel: MODEL\n", ("key 'dataset'", "is longer than the name of any")),
+    "word for a number": ("dataset: DATA\nidentification: {starts: many}\n", ("identification.starts", "many")),
+    "unknown record": (BOTH + "preprocessing: {records: [rec_7]}\n", ("'rec_7'", "rec_0")),
+    "no train record": (BOTH + "preprocessing: {records: [rec_1]}\n", ("no train record",)),
+    "window upside down": (BOTH + "preprocessing: {between: [5, 1]}\n", ("between [5, 1] is reversed",)),
+    "long step": (BOTH + "preprocessing: {resample: {sample_time: 5}}\n", ("'rec_0'", "5 s")),
+    "tiny window": (BOTH + "identification: {window: 1.0e-9}\n", ("identification.window", "25 samples")),
+    "long window": (BOTH + "identification: {window: 100}\n", ("identification.window", "four windows")),
+    "stage holds a stranger": (BOTH + "previous: {model: MODEL, hold: [f_3]}\n", ("'f_3'", "both models have")),
+    "stage without its model": (BOTH + "previous: {model: nowhere.yaml}\n", ("nowhere.yaml",)),
     "not YAML": ("dataset: [DATA\nmodel: ]\n", ("study.yaml", "row 2")),
     "key twice": ("dataset: DATA\ndataset: DATA\n", ("study.yaml", "row 2", "'dataset'")),
-}
+}  # fmt: skip
 
 
 FILES = {
@@ -71,7 +54,8 @@ def test_malformed_config(name: str, run, sound: tuple[Path, Path], tmp_path: Pa
     config = tmp_path / "study.yaml"
     config.write_text(text.replace("DATA", str(sound[0])).replace("MODEL", str(sound[1])))
     before = contents(tmp_path)
-    refused(run("identify", config, "--out", tmp_path / "out"), *names)
+    for command in ("identify", "diagnose"):
+        refused(run(command, config, "--out", tmp_path / "out"), *names)
     assert contents(tmp_path) == before
 
 
