@@ -26,6 +26,7 @@ def refused(outcome: Any, *names: str) -> None:
     assert lines[0].startswith("Error: ")
     assert lines[0].endswith((".", "?"))
     assert not lines[0].endswith("?.")
+    assert len(lines[0]) < 700, lines[0]
     for name in names:
         assert name in lines[0]
 

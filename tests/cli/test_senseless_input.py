@@ -103,16 +103,6 @@ def test_network_sizes_have_an_end(hidden: list, sound, run, tmp_path: Path) -> 
     refused(run("simulate", dataset, "--model", model, "--out", tmp_path / "out"), "model.yaml", "hidden")
 
 
-@pytest.mark.parametrize(
-    "line", ["--threads 1000000000", f"--threads {HUGE}", f"--starts {HUGE}", f"--seed {HUGE}"]
-)
-def test_numbers_of_the_command_line_are_refused_shortly(line: str, sound, run, tmp_path: Path) -> None:
-    dataset, model = sound
-    outcome = run("identify", dataset, "--model", model, "--out", tmp_path / "out", *line.split())
-    refused(outcome, line.split()[0])
-    assert len(outcome.err) < 600
-
-
 # --- words that no file or screen can hold (classes 4 and 7) ---------------------------------------------------------
 
 ODD = ["\x1b[2J", "\x07", "\x1b]0;title\x07", "\udcff", "\ud800", "\u202egpj", "\x9b31m", "\x00"]
