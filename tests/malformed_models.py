@@ -88,13 +88,14 @@ def malformed_models() -> list[Malformed]:
     ]  # fmt: skip
     changes = {name: partial(change_yaml, change=change, name="model.yaml") for name, _, change in rows}
     cases = [Malformed(name, names, changes[name], write_sound_model) for name, names, _ in rows]
-    texts = {
-        ("runs code", ("YAML",)): "system: !!python/object/apply:os.getcwd []\n",
-        ("long name", ("robot.file", "is longer than the name of any")): f"robot: {{file: {'r' * 300}}}\n",
-    }
-    return cases + [
-        Malformed(*of, write("model.yaml", text), write_sound_model) for of, text in texts.items()
+    texts = [
+        ("runs code", ("YAML",), "system: !!python/object/apply:os.getcwd []\n"),
+        ("long name", ("robot.file", "is longer than the name of any"), f"robot: {{file: {'r' * 300}}}\n"),
     ]
+    written = [
+        Malformed(name, names, write("model.yaml", text), write_sound_model) for name, names, text in texts
+    ]
+    return cases + written
 
 
 def content_of(name: str) -> Callable[..., Callable[[dict], None]]:
