@@ -19,7 +19,6 @@ import yaml
 from browser import look_at
 from command_line import whole
 from drives import make_record, rigid_drive
-from malformed import change_yaml
 
 from hybrid_id import __version__
 from hybrid_id.cli.console import FitProgress
@@ -29,6 +28,7 @@ from hybrid_id.cli.folder import (
     EVENTS,
     added_results,
     live_folder,
+    refuse_file,
     refuse_foreign,
     refuse_taken,
     results_folder,
@@ -109,21 +109,52 @@ def test_wrong_units_and_signs_do_not_pass_silently(
     run, drive: Path, tmp_path: Path, channel: str, change: dict
 ) -> None:
     shutil.copytree(drive, tmp_path / "wrong")
-    columns = {channel: {"column": channel, **change}}
-    change_yaml(tmp_path / "wrong", lambda values: values.update(columns=columns))
+    file = tmp_path / "wrong" / "dataset.yaml"
+    values = yaml.safe_load(file.read_text()) | {"columns": {channel: {"column": channel, **change}}}
+    file.write_text(yaml.safe_dump(values))
     words = run("check", tmp_path / "wrong", "--json").out
     assert "the model's start values explain less than the mean of the records (normalised RMSE" in words
     assert ("q_m1 turns the other way than with the model's start values" in words) == ("scale" in change)
     assert "start values explain" not in run("check", drive, "--json").out
 
 
+def with_column(drive: Path, folder: Path, channel: str, scale: float) -> Path:
+    """The drive's records with a column whose unit was forgotten."""
+    shutil.copytree(drive, folder)
+    values = yaml.safe_load((folder / "dataset.yaml").read_text())
+    values |= {"columns": {channel: {"column": channel, "scale": scale}}, "sample_time": None}
+    (folder / "dataset.yaml").write_text(yaml.safe_dump(values))
+    return folder
+
+
+def test_time_in_another_unit_is_refused_before_anything_is_simulated(
+    run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = "unit: ms"
+    monkeypatch.setattr("hybrid_id.study.check_model", None)
+    folder = with_column(drive, tmp_path / "wrong", "t", 1e3)
+    said = run("check", folder)
+    assert said.code == 2 and words in said.err and "run_0.csv.gz" in said.err
+    assert "run_3   test" in said.out and "identif" not in said.out
+    for command in ("identify", "diagnose", "simulate"):
+        assert words in run(command, folder, "--out", tmp_path / "out").err
+    to_mujoco = ("--to", "mjcf", "--out", tmp_path / "robot.xml", "--check", folder)
+    assert words in run("export", drive / "model.yaml", *to_mujoco).err
+
+
 def test_no_confident_table_follows_degrees_for_radians(run, drive: Path, tmp_path: Path) -> None:
-    shutil.copytree(drive, tmp_path / "wrong")
-    columns = {"q_m1": {"column": "q_m1", "scale": 180.0 / np.pi}}
-    change_yaml(tmp_path / "wrong", lambda values: values.update(columns=columns))
-    said = run("check", tmp_path / "wrong")
+    said = run("check", with_column(drive, tmp_path / "wrong", "q_m1", 180.0 / np.pi))
     assert said.code == 2 and "check its unit" in said.err
     assert "identifiable" not in said.out and "records and model contradict each other" in said.out
+
+
+def test_warnings_are_said_before_the_model_is_read(run, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text(
+        (drive / "model.yaml").read_text().replace("gear_ratio: [156.0]", "gear_ratio: [0.001]")
+    )
+    said = run("check", drive, "--model", tmp_path / "model.yaml")
+    assert said.code == 2 and "run_3   test" in said.out
+    assert "model.yaml: gear_ratio 0.001 is none of a drive" in said.err and "turns of the motor" in said.err
 
 
 def test_records_of_more_joints_than_the_model_has(run, drive: Path, tmp_path: Path) -> None:
@@ -141,10 +172,22 @@ def test_identify_writes_everything(identified: tuple[Path, str], tmp_path: Path
     assert len(words.splitlines()) <= 25
     assert "results are in" in words
     names = {path.name for path in out.iterdir()}
-    pictures = {f"{name}.png" for name in ("parameters", "cross_validation", "residuals")}
-    pictures |= {f"fit_run_{k}.png" for k in range(4)}
-    files = {"result.json", "parameters.csv", "model.yaml", "config.yaml", "report.html"}
-    assert names == pictures | files | {".written", "models", "tensorboard"}
+    pictures = {
+        "parameters.png",
+        "cross_validation.png",
+        "residuals.png",
+        *(f"fit_run_{k}.png" for k in range(4)),
+    }
+    assert names == pictures | {
+        ".written",
+        "result.json",
+        "parameters.csv",
+        "model.yaml",
+        "models",
+        "config.yaml",
+        "tensorboard",
+        "report.html",
+    }
     assert not any(path.name.startswith(".") for path in out.parent.iterdir())
     look_at(out / "report.html", tmp_path, figures=len(pictures))
 
@@ -227,6 +270,18 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
         refuse_taken(out, force=True)
     (out / BEGUN).write_text("")
     refuse_taken(out, force=True)
+
+
+def test_force_never_takes_a_record_of_the_dataset_beside_it(tmp_path: Path) -> None:
+    """By its whole name or a pattern; a part of another's name is free."""
+    listed = {"records": [{"file": "run_1.csv"}, {"file": "log_*.csv"}]}
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(listed))
+    for name in ("run_1.csv", "log_7.csv", "n_1.csv"):
+        (tmp_path / name).write_text("t,u1\n")
+    for name in ("run_1.csv", "log_7.csv"):
+        with pytest.raises(InputError, match="a record of the dataset beside it"):
+            refuse_file(tmp_path / name, force=True)
+    refuse_file(tmp_path / "n_1.csv", force=True)
 
 
 def test_force_never_takes_results_that_lie_inside_the_folder(run, drive: Path, tmp_path: Path) -> None:
@@ -339,6 +394,20 @@ def test_first_interrupt_asks_the_fit_to_end(tmp_path: Path) -> None:
         assert progress.flag.exists()
         assert signal.getsignal(signal.SIGINT) is before  # the second one interrupts as usual
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_interrupted_fit_is_written_and_says_so(run, plain: Path, tmp_path: Path, monkeypatch) -> None:
+    def stop(self: FitProgress, *_: object) -> bool:
+        self.stopped = self.cut = True
+        return True
+
+    monkeypatch.setattr(FitProgress, "__call__", stop)
+    outcome = run("identify", plain, "--out", tmp_path / "out")
+    assert outcome.code == 130
+    assert "stopped: the sets are" in outcome.err
+    assert "are kept" not in outcome.err and not (tmp_path / "out" / "fits").exists()  # nothing was complete
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {one["status"] for one in result["sets"]} == {"interrupted"}
 
 
 @pytest.mark.parametrize("trained", [True, False])

@@ -10,6 +10,7 @@ from command_line import whole
 from PIL import Image
 
 from hybrid_id import __version__
+from hybrid_id.cli import doctor as module
 from hybrid_id.cli.app import first_sentence
 from hybrid_id.systems import one_link
 
@@ -21,6 +22,15 @@ def test_doctor_tells_the_machine_and_passes_its_self_test(run) -> None:
     assert told["machine"]["hybrid_id"] == __version__
     assert told["packages"]["torch"]
     assert told["self_test"]["passed"] and len(told["self_test"]["parameters"]) == 12
+
+
+def test_doctor_fails_aloud(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = {"passed": False, "off": ["J"], "fit_percent": 12.0, "seconds": 1.0, "parameters": {"J": {}}}
+    monkeypatch.setattr("hybrid_id.paper.demo.self_test", lambda: failed)
+    monkeypatch.setattr(module, "version", lambda name: "9.9")
+    done = run("doctor")
+    assert done.code == 1
+    assert "self-test FAILED (J off)" in done.out
 
 
 def test_doctor_compiles_ahead(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -79,6 +89,12 @@ def test_lists_as_json(run, command: str) -> None:
     told = json.loads(run(command, "--json").out)
     assert told["program"] == f"hybrid_id {__version__}"
     assert len(told[command]) > 20
+
+
+def test_excite_as_json(run, tmp_path: Path) -> None:
+    options = ("--duration", 2, "--tones", 4, "--band", 1, 6, "--starts", 2, "--json")
+    told = json.loads(run("excite", "--out", tmp_path / "wave.csv", *options).out)
+    assert 1.0 < told["crest_factor"] < told["usual_crest_factors"]["random"]
 
 
 def test_version_is_in_every_kind_of_file(run, drive: Path, tmp_path: Path) -> None:

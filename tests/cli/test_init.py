@@ -162,6 +162,14 @@ def test_columns_without_names_are_asked_about(run, tmp_path: Path, motions) -> 
     assert "'b'" in asked and "'d'" in asked
 
 
+def test_jitter_proposes_resampling(run, tmp_path: Path, motions) -> None:
+    rng = np.random.default_rng(0)
+    columns = MS | {"time": lambda t, u, q: 1e3 * (t + rng.uniform(-3e-4, 3e-4, t.size))}
+    folder = write_csv(tmp_path / "x", motions, columns)
+    assert run("init", folder).code == 0
+    assert written(folder)[0]["resample"] is True
+
+
 def test_gaps_are_bridged_or_cut_and_said(run, tmp_path: Path, motions) -> None:
     short, long = np.r_[0:300, 305:1000], np.r_[0:300, 400:1000]
     folder = tmp_path / "x"
@@ -269,6 +277,35 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert run("check", folder).code == 0
 
 
+@pytest.mark.parametrize(
+    ("angle", "goal", "others"),
+    [
+        ("actual_q_{}", "target_q_{}", ("target_current_{}", "actual_current_{}")),  # a UR's RTDE
+        ("state.q[{}]", "state.q_d[{}]", ("state.tau_J[{}]", "state.tau_J_d[{}]")),  # libfranka
+    ],
+)
+def test_numbers_from_zero_goals_before_currents_and_units_of_columns_named_alike(
+    run, tmp_path: Path, angle: str, goal: str, others: tuple[str, str]
+) -> None:
+    columns = dict(TIME)
+    for k in (0, 1):
+        columns[angle.format(k)] = lambda t, g, q, k=k: q[:, k]
+        columns[goal.format(k)] = lambda t, g, q, k=k: g[:, k]
+        columns |= {other.format(k): lambda t, g, q, k=k: (g - q)[:, k] for other in others}
+    text = FOLLOWING.replace("-1.9 1.9", "-60 60")  # degrees would be as likely
+    robot = tmp_path / "arm.xml"
+    numbered = text.replace("shoulder_pan", "joint1").replace("elbow_flex", "joint2")
+    folder = write_logs(tmp_path / "logs", columns, numbered)
+    data, _, words = proposed(run, folder, "--robot", robot)
+    chosen = [columns_of(data)[one] for one in ("q_a1", "q_a2", "goal1", "goal2")]
+    assert chosen == [angle.format(0), angle.format(1), goal.format(0), goal.format(1)]
+    assert f"that of '{angle.format(1)}', which is named alike, and" in words
+    assert "In which unit" not in words and "those of joint" not in words
+    robot.write_text(text)
+    asked = "Are the columns of '0', '1' those of joint shoulder_pan, elbow_flex, in this order?"
+    assert asked in proposed(run, folder, "--robot", robot, "--force")[2]
+
+
 @pytest.mark.parametrize("clear", [True, False])
 def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: Path, clear: bool) -> None:
     """A topic of joint states is sorted by name, a command by the robot; a controller's errors drive nothing."""
@@ -300,6 +337,21 @@ def test_elements_of_a_command_go_to_the_joints_that_follow_them(run, tmp_path: 
     assert f"# {errors[1]}: error of elbow_flex" in (folder / "dataset.yaml").read_text()
 
 
+def test_d_is_what_is_desired_only_beside_what_is_measured(run, tmp_path: Path) -> None:
+    columns = TIME | {f"{what}_{name}": lambda t, g, q, what=what, k=k: (g if what == "cmd" else q)[:, k]
+                      for what in ("cmd", "pos") for k, name in enumerate("bd")}  # fmt: skip
+    robot = ARM.format(actuators="").replace("shoulder_pan", "b").replace("elbow_flex", "d")
+    folder = write_logs(tmp_path / "logs", columns, robot)
+    found = columns_of(proposed(run, folder, "--robot", tmp_path / "arm.xml")[0])
+    assert (found["goal2"], found["q_a2"]) == ("cmd_d", "pos_d")
+    columns = TIME | {
+        "i_q": lambda t, g, q: (g - q)[:, 0],
+        "i_d": lambda t, g, q: 1e-3 * (g - q)[:, 1],
+        "pos": lambda t, g, q: q[:, 0],
+    }
+    assert columns_of(proposed(run, write_logs(tmp_path / "currents", columns))[0])["i1"] == "i_q"
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_columns_of_one_arm_are_not_those_of_the_other(run, tmp_path: Path, side: str) -> None:
     arm = ARM[ARM.index('<body name="upper">') : ARM.index("\n</worldbody>")]
@@ -317,6 +369,18 @@ def test_columns_of_one_arm_are_not_those_of_the_other(run, tmp_path: Path, side
     assert set(held) == {f"{other}_joint1", f"{other}_joint2"}
 
 
+def test_a_joint_that_shows_no_lag_starts_as_those_with_the_same_actuator(run, tmp_path: Path) -> None:
+    """A loop too stiff for the lag of one joint is none for its neighbour, which gravity holds off its goal."""
+    columns = BOTH | {"elbow_flex.pos": lambda t, g, q: np.degrees(g[:, 1] - 0.1)}
+    stiff = FOLLOWING.replace('kp="8" kv="0.8"', 'kp="998" kv="2.7"')
+    folder = write_logs(tmp_path / "logs", columns, stiff)
+    _, model, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    gains = [part["parameters"]["k_p"]["nominal"] for part in model["components"]]
+    assert gains == [pytest.approx(0.2 / 0.12, rel=0.1)] * 2
+    assert "of joints with the same actuator is" in (folder / "model.yaml").read_text()
+    assert "servos of shoulder_pan, elbow_flex?" in words
+
+
 def random_load(t: np.ndarray, goal: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.abs(np.random.default_rng(0).normal(size=t.size))
 
@@ -329,6 +393,7 @@ SHUT = {
     "elbow_flex.pos": lambda t, g, q: 0.5 + 0.002 * np.sin(t),
     "elbow_flex.goal": lambda t, g, q: np.full(t.size, 0.5),
 }
+RESTING = {name: lambda t, g, q: np.full(t.size, 0.5) for name in SHUT}
 
 
 @pytest.mark.parametrize(
@@ -338,14 +403,16 @@ SHUT = {
         (SHUT | {"elbow_flex.effort": random_load}, FOLLOWING, {"elbow_flex": 0.0},
          ("which is held (elbow_flex.pos is about 0.5): its goal stands still",
           "Where do joints stand that no command moves in the logs? elbow_flex at 0")),
+        (RESTING, FOLLOWING, {"elbow_flex": 0.0}, ("elbow_flex.pos: stands still in all logs",)),
         (pair("elbow_flex", 1), FOLLOWING.replace("</mujoco>", EQUALITY), {"elbow_flex": 0.0},
          ("which is held because of equality 'jaws'", "Does elbow_flex, which moves in the logs",
           "Where do joints stand that are tied to others? elbow_flex at 0")),
+        ({}, ARM.format(actuators="").replace("-1.7 1.7", "0.9 1.7"), {"elbow_flex": 0.9}, ("elbow_flex at 0.9",)),
         (pair("elbow_flex", 1), FOLLOWING.replace('<body name="upper">', TRUNK).replace("</worldbody>",
          "</body></worldbody>"), {"trunk": 0.0}, ("a floating base, so held: trunk at 0",
                                                   "Does the base trunk stand still in all logs")),
     ],
-    ids=["shut gripper", "tied", "on a rack"],
+    ids=["shut gripper", "still", "tied", "not at zero", "on a rack"],
 )  # fmt: skip
 def test_what_no_command_moves_is_held(
     run, tmp_path: Path, elbow: dict, robot: str, hold: dict, said: tuple[str, ...]
@@ -359,20 +426,62 @@ def test_what_no_command_moves_is_held(
     assert run("check", folder).code == 0
 
 
-def test_a_bad_cell_pairs_no_joints_command_with_another_joints_angle(run, tmp_path: Path) -> None:
+def test_a_joint_that_swings_is_not_held_whatever_its_logged_goal_does(run, tmp_path: Path) -> None:
+    elbow = {
+        "elbow_flex.pos": lambda t, g, q: q[:, 1],
+        "elbow_flex.goal": lambda t, g, q: np.zeros(t.size),
+        "elbow_flex.voltage": lambda t, g, q: 5.0 * (g - q)[:, 1],
+    }
+    columns = TIME | pair("shoulder_pan", 0) | elbow
+    folder = write_logs(tmp_path / "logs", columns, ARM.format(actuators=""))
+    data, model, _ = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert "u2" in {one["name"] for one in data["inputs"]} and "hold" not in model["robot"]
+
+
+@pytest.mark.parametrize("bad", [(0, 1, 2), (1,)])
+def test_a_bad_cell_pairs_no_joints_command_with_another_joints_angle(
+    run, tmp_path: Path, bad: tuple[int, ...]
+) -> None:
     columns = dict(TIME)
     for k, name in enumerate(("shoulder_pan", "elbow_flex")):
         columns[f"{name}.position"] = lambda t, g, q, k=k: q[:, k]
         columns[f"{name}.torque_cmd"] = lambda t, g, q, k=k: (g - q)[:, k]
     folder = write_logs(tmp_path / "logs", columns, ARM.format(actuators=""))
-    for seed in range(3):
+    for seed in bad:
         frame = pd.read_csv(folder / f"run{seed}.csv").astype({"shoulder_pan.position": object})
         frame.loc[50, "shoulder_pan.position"] = "err"
         frame.to_csv(folder / f"run{seed}.csv", index=False)
     data, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
     assert "row 52: column 'shoulder_pan.position' holds 'err'" in words
-    assert columns_of(data)["tau1"] == "elbow_flex.torque_cmd" and len(data["inputs"]) == 1
-    assert "Joint 'shoulder_pan' has no angle and no speed in the logs" in words
+    if len(bad) == 3:  # the elbow alone, with its own torque
+        assert columns_of(data)["tau1"] == "elbow_flex.torque_cmd" and len(data["inputs"]) == 1
+        assert "Joint 'shoulder_pan' has no angle and no speed in the logs" in words
+    else:
+        assert len(data["records"]) == 2 and len(data["inputs"]) == 2
+
+
+def test_a_goal_that_rests_where_the_joint_moves_most_has_the_unit_of_its_place(run, tmp_path: Path) -> None:
+    """A joint that is pushed while its goal rests, in degrees; in another log it follows its goal a little."""
+    robot = PENDULUM.format(low=-1.9, high=1.9, actuator="")
+    for part, push, follow in (("pushed", 0.1, 0.0), ("follows", 0.02, 0.02)):
+        columns = TIME | {
+            "elbow.pos_rad": lambda t, g, q, push=push: 0.56 + push * q[:, 0],
+            "elbow.goal": lambda t, g, q, follow=follow: np.degrees(0.5 + follow * g[:, 0]),
+        }
+        write_logs(tmp_path / part, columns, robot, logs=2)
+    for k in (0, 1):
+        (tmp_path / "follows" / f"run{k}.csv").rename(tmp_path / "pushed" / f"run{k + 2}.csv")
+    data, *_ = proposed(run, tmp_path / "pushed", "--robot", tmp_path / "arm.xml")
+    assert data["inputs"] == [{"name": "goal1", "unit": "deg"}]
+
+
+def test_a_stamp_that_repeats_is_told_by_its_sample(run, tmp_path: Path, motions) -> None:
+    folder = write_csv(tmp_path / "x", motions, MS)
+    frame = pd.read_csv(folder / "run2.csv")
+    frame.loc[51, "time"] = frame.loc[50, "time"]
+    frame.to_csv(folder / "run2.csv", index=False)
+    done = run("init", folder)
+    assert done.code == 2 and "run2.csv: time 'time' goes from 100 to 100 at sample 52" in done.err
 
 
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="elbow" axis="0 1 0" range="{low} {high}"
@@ -395,7 +504,10 @@ TORQUE = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad"
     ("actuator", "asked", "line"),
     [
         ('<motor joint="elbow" gear="-2"/>', "(-2 at elbow)? ", "gear_ratio: [2]"),
+        ('<motor joint="elbow" gear="-2"/>', "A minus turns the joint the other way", ""),
+        ('<general joint="elbow" gainprm="12"/>', "multiplies by a gain (12 at elbow): torques, volts,", ""),
         ('<velocity joint="elbow" kv="3"/>', "Are the commands of elbow torques?", ""),
+        ('<motor joint="elbow" ctrlrange="-0.1 0.1"/>', "beyond the -0.1 to 0.1 N m that ctrlrange", ""),
     ],
 )
 def test_what_a_command_is_in_the_robots_file_is_asked(
@@ -458,6 +570,17 @@ def test_a_speed_in_no_usual_unit_makes_the_angles_unit_doubtful(run, tmp_path: 
     assert "In which unit is 'position_elbow'?" in words and "1 of 'velocity_elbow' is 0.775" in words
 
 
+def test_degrees_of_a_joint_may_be_rad_of_its_motor(run, tmp_path: Path) -> None:
+    columns = {"t": TORQUE["t"], "torque_cmd": TORQUE["torque_cmd"], "motor_angle": lambda t, g, q: 40 * q}
+    folder = one_joint(tmp_path / "logs", columns)
+    _, _, words = proposed(run, folder, "--robot", tmp_path / "arm.xml")
+    assert "unit of q_m1 deg ? " in words
+    assert "Degrees of the joint, or rad of a motor behind its gear: 'motor_angle'?" in words
+    (tmp_path / "motor.yaml").write_text("gear_ratio: 40\n")
+    options = ("--robot", tmp_path / "arm.xml", "--motor", tmp_path / "motor.yaml", "--force")
+    assert "unit of q_m1 rad yes " in proposed(run, folder, *options)[2]
+
+
 @pytest.mark.parametrize(("kp", "believed"), [(998, False), (5, True)])
 def test_gains_that_the_logs_contradict_are_no_start(run, tmp_path: Path, kp: int, believed: bool) -> None:
     folder = one_joint(tmp_path / "logs", COUNTS, f'<position joint="elbow" kp="{kp}" forcerange="-3 3"/>')
@@ -479,14 +602,41 @@ def test_records_are_cut_at_an_end_stop(run, tmp_path: Path) -> None:
         assert record.outputs["q_a1"].max() <= 0.9931 * farthest
 
 
-@pytest.mark.parametrize("times", [1.0, 50.0])
-def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(run, tmp_path: Path, times: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [("encoder_rad", 1.0), ("encoder_rad", 50.0), ("joint_angle", 1.0), ("motor_angle", 50.0)],
+)
+def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(
+    run, tmp_path: Path, name: str, times: float
+) -> None:
     (tmp_path / "sheet.yaml").write_text("gear_ratio: 50\n")
-    columns = {"t": TORQUE["t"], "torque_cmd": TORQUE["torque_cmd"], "encoder_rad": lambda t, g, q: times * q}
+    columns = {"t": TORQUE["t"], "torque_cmd": TORQUE["torque_cmd"], name: lambda t, g, q: times * q}
     folder = one_joint(tmp_path / "logs", columns)
     options = ("--robot", tmp_path / "arm.xml", "--motor", tmp_path / "sheet.yaml")
     outputs = proposed(run, folder, *options)[0]["outputs"]
     assert outputs == [{"name": "q_m1" if times > 1 else "q_a1", "unit": "rad"}]
+
+
+def test_a_ratio_is_that_of_the_joint_which_moves(run, tmp_path: Path) -> None:
+    """A joint without a command has no number: the one ratio is the elbow's, whose encoder is at its joint."""
+    (tmp_path / "sheet.yaml").write_text("gear_ratio: [20]\n")
+    columns = TIME | {
+        "shoulder_pan.pos_rad": lambda t, g, q: 1e-3 * np.random.default_rng(0).standard_normal(t.size),
+        "elbow_flex.pos_rad": lambda t, g, q: q[:, 1],
+        "elbow_flex.torque_cmd": lambda t, g, q: (g - q)[:, 1],
+    }
+    folder = write_logs(tmp_path / "logs", columns, ARM.format(actuators=""))
+    options = ("--robot", tmp_path / "arm.xml", "--motor", tmp_path / "sheet.yaml")
+    data, model, words = proposed(run, folder, *options)
+    assert data["outputs"] == [{"name": "q_a1", "unit": "rad"}] and model["gear_ratio"] == [20.0]
+    assert "q_a1" in words and "q_m2" not in words
+
+
+def test_a_joint_that_moves_in_one_of_many_logs_is_found(run, tmp_path: Path, motions) -> None:
+    t, u, q = motions[0]
+    folder = write_csv(tmp_path / "x", [(t, u * (k == 9), q * (k == 9)) for k in range(10)], MS, records=10)
+    done = run("init", folder)
+    assert "stands still" not in done.out + done.err and "has no usable pair" not in done.err
 
 
 def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
