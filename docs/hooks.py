@@ -14,10 +14,10 @@ from hybrid_id.components import PLACES, REGISTRY, Component
 
 CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
 STAGES = {
-    "hybrid_id.diagnosis.diagnose": "measure Measured search freeze Answer test Tested report",
+    "hybrid_id.diagnosis.diagnose": "measure Measured search freeze Answer reported",
     "hybrid_id.diagnosis.fits": "Fits",
     "hybrid_id.identification.keep": "Kept",
-    "hybrid_id.diagnosis.screen": "selection_step screen fit_finalists SelectionStep",
+    "hybrid_id.diagnosis.screen": "selection_step screen SelectionStep",
     "hybrid_id.diagnosis.select": "select Selection",
     "hybrid_id.diagnosis.grade": "grade Grade RatedEffect",
     "hybrid_id.diagnosis.locate": "locate Location disturbances Disturbance",

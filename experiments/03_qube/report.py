@@ -96,7 +96,9 @@ def say_whole(title: str, study: Study) -> None:
     spread = "one record only"
     if (over := study.variation) is not None:
         rows = zip(over.names, over.mean, over.percent, strict=True)
-        spread = "\n".join(f"{name}: mean {mean:.4g}, std/mean {percent:.2f} %" for name, mean, percent in rows)
+        spread = "\n".join(
+            f"{name}: mean {mean:.4g}, std/mean {percent:.2f} %" for name, mean, percent in rows
+        )
     print(f"\nwhole records as one free run, {title}\n{spread}\n{study.selection.summary()}")
 
 

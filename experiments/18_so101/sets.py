@@ -88,7 +88,13 @@ def main() -> None:
         study = study_of(options.data, data, number, options.jobs)
         found[joint] = summary(study, time.perf_counter() - start)
         print(f"{joint}: {found[joint]['seconds']:.0f} s, {len(study.sets)} motions")
-        print(study.variation.summary() if study.variation else "")
+        if study.variation:
+            print(
+                {
+                    name: round(p, 1)
+                    for name, p in zip(study.variation.names, study.variation.percent, strict=True)
+                }
+            )
         print(study.selection.summary())
         print({k: round(found[joint][k], 1) for k in ("own", "across", "worst")}, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,6 @@ from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.study import ModelCheck
     from hybrid_id.systems.chain import System
 
 
@@ -46,9 +45,9 @@ def check(
     system = None
     if joint is not None:
         data, system = joint_alone(data, path, dataset, joint)
-    if not as_json:
-        from hybrid_id.reporting.tables import count, findings_list, records_table
+    from hybrid_id.reporting.tables import count, findings_list, records_table
 
+    if not as_json:
         show(records_table(data), "")
     findings = check_dataset(data)
     if not as_json:
@@ -76,7 +75,21 @@ def check(
             "records identify"
         )
     elif found is not None and system is not None:
-        _show_model(found, system, path, full=full)
+        from hybrid_id.reporting.tables import MOST_ROWS, base_parameters_table, identifiability_table
+        from hybrid_id.reporting.units import symbols_line
+
+        if found.findings:
+            show("", f"Against {path}:", findings_list(found.findings))
+        if found.identified is None:
+            show("", "What the records identify is not said: records and model contradict each other.")
+        else:
+            show("", f"What these records identify of {path}, at its start values and before any fit.")
+            show("± is by the sensors' noise alone: what the model lacks makes intervals of a fit wider.")
+            show(identifiability_table(found.identified))
+            show(*symbols_line(system.table, " ".join(found.identified.names)))
+        if found.based is not None:
+            show("", "What any motion can say of the robot's masses and inertias, and what these records do:")
+            show(base_parameters_table(found.based, 0 if full else MOST_ROWS))
     refuse_errors([*findings, *(() if found is None else found.findings)])
     identified = None if found is None else found.identified
     if identified is not None and not identified.combinations and not identified.claimable.any():
@@ -109,26 +122,3 @@ def joint_alone(dataset: "Dataset", path: Path | None, source: Path, name: str) 
         )
     moving = moving_records(dataset, joint)
     return with_others_measured(moving, robot, joint), alone(robot, joint)
-
-
-def _show_model(found: "ModelCheck", system: "System", path: Path, *, full: bool) -> None:
-    from hybrid_id.reporting.tables import (
-        MOST_ROWS,
-        base_parameters_table,
-        findings_list,
-        identifiability_table,
-    )
-    from hybrid_id.reporting.units import symbols_line
-
-    if found.findings:
-        show("", f"Against {path}:", findings_list(found.findings))
-    if found.identified is None:
-        show("", "What the records identify is not said: records and model contradict each other.")
-    else:
-        show("", f"What these records identify of {path}, at its start values and before any fit.")
-        show("± is by the sensors' noise alone: what the model lacks makes intervals of a fit wider.")
-        show(identifiability_table(found.identified))
-        show(*symbols_line(system.table, " ".join(found.identified.names)))
-    if found.based is not None:
-        show("", "What any motion can say of the robot's masses and inertias, and what these records do:")
-        show(base_parameters_table(found.based, 0 if full else MOST_ROWS))

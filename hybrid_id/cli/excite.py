@@ -192,14 +192,10 @@ def _of_drive(
     system: "System | None",
     band: tuple[float, float],
     *,
-    sample_time: float,
-    duration: float,
     amplitude: float,
-    tones: int,
     gear: Act | None,
     rest: float,
-    starts: int,
-    seed: int,
+    **asked: Any,
 ) -> Designed:
     """Design the multisine of one drive."""
     import numpy as np
@@ -211,15 +207,8 @@ def _of_drive(
     if gear is not None and system is not None:
         from hybrid_id.study.excitation import bands_by_gear
 
-        parts = bands_by_gear(
-            system,
-            band,
-            gear.value,
-            sample_time=sample_time,
-            duration=duration,
-            amplitude=amplitude,
-            tones=tones,
-        )
+        motion = {key: asked[key] for key in ("sample_time", "duration", "tones")}
+        parts = bands_by_gear(system, band, gear.value, amplitude=amplitude, **motion)
         band = parts[0].band
         (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
         lines = [
@@ -227,13 +216,11 @@ def _of_drive(
             f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
             f"({100 * least:.2g} to {100 * most:.2g} %)."
         ]
-    design = design_multisine(
-        band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones, starts=starts,
-        seed=seed,
-    )  # fmt: skip
+    design = design_multisine(band, amplitude_limits=amplitude, **asked)
+    sample_time = asked["sample_time"]
     quiet = round(rest / sample_time)
     signal = np.concatenate([np.zeros(quiet), design.signal])
-    usual = usual_crest_factors(design, seed)
+    usual = usual_crest_factors(design, asked["seed"])
     described = {
         "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
         "rest": sample_time * quiet, "band": band, "amplitude": amplitude, "gear": gear,

@@ -42,16 +42,8 @@ def simulate(
     threads: ThreadsOption = 1,
 ) -> None:
     """Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures."""
-    _replay(
-        "simulate",
-        dataset,
-        [model or beside(dataset)],
-        out,
-        window="whole",
-        force=force,
-        as_json=as_json,
-        threads=threads,
-    )
+    models = [model or beside(dataset)]
+    _replay("simulate", dataset, models, out, window="whole", force=force, as_json=as_json, threads=threads)
 
 
 def compare(

@@ -24,7 +24,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
-from hybrid_id.identification.keep import as_content, fingerprint, read_checkpoint, write_checkpoint
+from hybrid_id.identification.keep import fingerprint, read_checkpoint, write_checkpoint
 from hybrid_id.identification.least_squares import Options, Outcome, free_parameters
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.optimizers import GaussNewtonState, advance, begin, prolonged
@@ -197,7 +197,7 @@ def train(
                     break
                 state = advance(problem, state, tolerance, options.max_iterations)
                 if checkpoint is not None:
-                    write_checkpoint(checkpoint, as_content(state), identity)
+                    write_checkpoint(checkpoint, vars(state), identity)
             if interrupted:
                 break
     except KeyboardInterrupt:

@@ -86,8 +86,9 @@ def gradient(
     with _held(extra):
         x, closed = free_run(system, engine, batch, guess, theta)
     y, cost = torch.empty_like(batch.y), batch.y.new_zeros(batch.rows)
-    by_theta = theta.new_zeros(len(free), batch.rows)
-    by_extra = [torch.zeros_like(weight) for weight in extra]
+    leaf = theta[list(free)].detach().clone().requires_grad_()
+    wanted = [leaf, *extra]
+    total = [torch.zeros_like(parameter) for parameter in wanted]
     later = torch.zeros_like(x[:, 0])  # what comes back through the end of a piece
     for piece in reversed(_pieces(batch)):
         part, nodes = _cut(batch, piece), x[:, piece].nan_to_num(0.0)
@@ -98,11 +99,31 @@ def gradient(
         slope = -loss.factor(residual) * residual * part.weight
         costate = _costates(lin, (lin.c.transpose(2, 3) @ slope[..., None])[..., 0], later)
         arriving, later = torch.cat([costate[:, 1:], later[:, None]], 1), costate[:, 0]
-        own, more = _parameters(system, engine, part, nodes, theta, free, extra, arriving, slope)
-        by_theta += own
-        by_extra = [total + one for total, one in zip(by_extra, more, strict=True)]
         cost += loss.value(residual).sum((1, 2))
-    return Gradient(x, y, cost.where(closed, torch.nan), by_theta.T.contiguous(), later, by_extra)
+        # pull the costates at each sample's end and the outputs' slope back to the parameters
+        rows, samples, n_x = nodes.shape
+        lanes = rows * samples
+        row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
+        flat_x, flat_dt = nodes.reshape(lanes, n_x), part.dt.reshape(lanes)
+        flat_u = {name: channel.reshape(lanes) for name, channel in part.u.items()}
+        pull, push = arriving.reshape(lanes, n_x), slope.reshape(lanes, -1)
+        for block in slices(lanes, lanes_at_once(nodes)):
+            row = row_of[block]
+            values = list(theta[:, row].unbind(0))
+            for position, index in enumerate(free):
+                values[index] = leaf[position, row]
+            channels = {name: channel[block] for name, channel in flat_u.items()}
+            p, now = system.views(values), flat_x[block].unbind(1)
+            with torch.enable_grad():
+                after = torch.stack(engine.sample(system, now, channels, flat_dt[block], p), 1)
+                measured = torch.stack(system.outputs(batch.outputs, now, channels, p), 1)
+                surrogate = (after * pull[block]).sum() + (measured * push[block]).sum()
+            if surrogate.requires_grad:
+                slopes = torch.autograd.grad(surrogate, wanted, allow_unused=True)
+                for so_far, more in zip(total, slopes, strict=True):
+                    if more is not None:
+                        so_far += more
+    return Gradient(x, y, cost.where(closed, torch.nan), total[0].T.contiguous(), later, total[1:])
 
 
 @contextmanager
@@ -232,44 +253,3 @@ def _costates(lin: Linearisation, source: Tensor, later: Tensor) -> Tensor:
     none = source.new_zeros(rows, samples + 1, n_x, 0)
     chain = replace(lin, x_next=forcing, a=torch.cat([back, back[:, :1]], 1), b=none)
     return condense(chain, torch.zeros_like(forcing))[:, 1:, :, -1].flip(1)
-
-
-def _parameters(
-    system: System,
-    engine: OdeEngine,
-    batch: Batch,
-    x: Tensor,
-    theta: Tensor,
-    free: Sequence[int],
-    extra: Sequence[nn.Parameter],
-    arriving: Tensor,
-    slope: Tensor,
-) -> tuple[Tensor, list[Tensor]]:
-    """Pull the costates ``arriving`` at each sample's end and the outputs' ``slope`` back to the parameters."""
-    rows, samples, n_x = x.shape
-    lanes = rows * samples
-    leaf = theta[list(free)].detach().clone().requires_grad_()
-    wanted = [leaf, *extra]
-    total = [torch.zeros_like(w) for w in wanted]
-    row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
-    flat_x, flat_dt = x.reshape(lanes, n_x), batch.dt.reshape(lanes)
-    flat_u = {name: channel.reshape(lanes) for name, channel in batch.u.items()}
-    pull, push = arriving.reshape(lanes, n_x), slope.reshape(lanes, -1)
-    for block in slices(lanes, lanes_at_once(x)):
-        row = row_of[block]
-        values = list(theta[:, row].unbind(0))
-        for position, index in enumerate(free):
-            values[index] = leaf[position, row]
-        channels = {name: channel[block] for name, channel in flat_u.items()}
-        p, now = system.views(values), flat_x[block].unbind(1)
-        with torch.enable_grad():
-            after = torch.stack(engine.sample(system, now, channels, flat_dt[block], p), 1)
-            measured = torch.stack(system.outputs(batch.outputs, now, channels, p), 1)
-            surrogate = (after * pull[block]).sum() + (measured * push[block]).sum()
-        if surrogate.requires_grad:
-            for sum_, part in zip(
-                total, torch.autograd.grad(surrogate, wanted, allow_unused=True), strict=True
-            ):
-                if part is not None:
-                    sum_ += part
-    return total[0], total[1:]

@@ -149,7 +149,20 @@ class Horizon:
         """
         if self.kind == "windows":
             return windows(system, engine, batch, self.seconds)
-        return strokes(system, engine, batch) if self.kind == "strokes" else batch
+        if self.kind == "whole":
+            return batch
+        cuts = [_stroke_starts(system, batch, row) for row in range(batch.rows)]
+        if all(len(starts) == 2 for starts in cuts):
+            return batch
+        batch, hidden = _simulated_hidden(system, engine, batch)
+        device = batch.x.device
+        row = torch.tensor([r for r, starts in enumerate(cuts) for _ in starts[1:]], device=device)
+        start = torch.tensor([s for starts in cuts for s in starts[:-1]], device=device)
+        length = torch.tensor([int(n) for starts in cuts for n in np.diff(starts)], device=device)
+        x0_std = measured_spread(system, batch)
+        x0_std[:, hidden] = 0.0
+        x0_std = torch.where((start == 0)[:, None], batch.x0_std[row], x0_std[row])
+        return batch.pieces(row, start, length, x0_std)
 
 
 WHOLE = Horizon()
@@ -180,30 +193,8 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
     return cut[0]
 
 
-def strokes(system: System, engine: Engine, batch: Batch) -> Batch:
-    """Pieces from rest to rest, see :meth:`Horizon.cut`; a piece begins amid a rest between two motions.
-
-    Args:
-        system: model with the values that its hidden states are simulated with.
-        engine: how.
-        batch: whole records, prepared for it.
-    """
-    cuts = [_stroke_starts(system, batch, row) for row in range(batch.rows)]
-    if all(len(starts) == 2 for starts in cuts):
-        return batch
-    batch, hidden = _simulated_hidden(system, engine, batch)
-    device = batch.x.device
-    row = torch.tensor([r for r, starts in enumerate(cuts) for _ in starts[1:]], device=device)
-    start = torch.tensor([s for starts in cuts for s in starts[:-1]], device=device)
-    length = torch.tensor([int(n) for starts in cuts for n in np.diff(starts)], device=device)
-    x0_std = measured_spread(system, batch)
-    x0_std[:, hidden] = 0.0
-    x0_std = torch.where((start == 0)[:, None], batch.x0_std[row], x0_std[row])
-    return batch.pieces(row, start, length, x0_std)
-
-
 def _stroke_starts(system: System, batch: Batch, row: int) -> list[int]:
-    """First samples of a record's strokes, and the number of its samples."""
+    """First samples of a record's strokes, each amid a rest between two motions, and the number of its samples."""
     samples = int((batch.weight[row] > 0).any(1).sum())
     # the rotor's, which every model of a joint has from the same output: all are cut at the same samples
     rows = [joint.positions[0] + 1 for joint in system.joints]
@@ -247,7 +238,7 @@ def _simulated_hidden(system: System, engine: Engine, batch: Batch) -> tuple[Bat
     return replace(batch, x=x), hidden
 
 
-def free_runs(system: System, engine: Engine, batch: Batch, theta: Tensor | None = None) -> Simulation:
+def free_runs(system: System, engine: Engine, batch: Batch) -> Simulation:
     """Free runs of pieces, the first state of each moved by one Gauss-Newton step within its uncertainty.
 
     What the encoders' noise does to a measured speed is no error of the model. A step is taken as far as the run then
@@ -257,10 +248,8 @@ def free_runs(system: System, engine: Engine, batch: Batch, theta: Tensor | None
         system: the model.
         engine: how it is simulated.
         batch: pieces, see :meth:`Horizon.cut`.
-        theta: parameters of each row, ``(n_p, R)`` (default: the system's values).
     """
-    if theta is None:
-        theta = system.theta().detach().to(batch.x.device)[:, None].expand(-1, batch.rows)
+    theta = system.theta().detach().to(batch.x.device)[:, None].expand(-1, batch.rows)
     # compiled steps are made for what they are differentiated by: those of a fit of the model are there already
     free = system.estimated if engine.compiled else []
     at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
@@ -365,7 +354,14 @@ def choose_horizon(
     _, horizon, one = found[max(able, key=lambda k: found[k][0])]
     if horizon.kind == "whole":
         return replace(horizon, reason="no shorter ones say more about the parameters")
-    return replace(horizon, reason=f"whole runs lose the records{_lost_after(one, batch)}")
+    # the time after which the model's free runs over whole records have an error that lost them
+    run = simulate(one.system, one.engine, batch)
+    residual = ((run.y - batch.y) * batch.weight).cpu().numpy()
+    samples = np.arange(1, residual.shape[1] + 1)[:, None]
+    errors = [_relative(np.cumsum(r**2, 0) / samples, batch, k).mean(1) for k, r in enumerate(residual)]
+    lost = ~(np.mean(errors, 0) <= FOLLOWED)
+    after = f" after {np.argmax(lost) * batch.sample_time:.2g} s" if lost.any() else ""
+    return replace(horizon, reason=f"whole runs lose the records{after}")
 
 
 def astray(fits: Sequence[FitResult], batch: Batch) -> float:
@@ -389,16 +385,6 @@ def _relative(square: np.ndarray, batch: Batch, row: int) -> np.ndarray:
     """Error beyond noise as a share of what a record's outputs move; mean squares of weighted residuals (..., n_y)."""
     scale = batch.motion()[row].cpu().numpy()
     return np.sqrt(np.maximum(square - 1.0, 0.0) / np.maximum(np.square(scale), 1.0))
-
-
-def _lost_after(result: FitResult, batch: Batch) -> str:
-    """In words: the time after which a model's free runs over whole records have an error that lost them."""
-    run = simulate(result.system, result.engine, batch)
-    residual = ((run.y - batch.y) * batch.weight).cpu().numpy()
-    samples = np.arange(1, residual.shape[1] + 1)[:, None]
-    errors = [_relative(np.cumsum(r**2, 0) / samples, batch, k).mean(1) for k, r in enumerate(residual)]
-    lost = ~(np.mean(errors, 0) <= FOLLOWED)
-    return f" after {np.argmax(lost) * batch.sample_time:.2g} s" if lost.any() else ""
 
 
 def covariance_size(result: FitResult, inside: Sequence[int]) -> tuple[float, float]:

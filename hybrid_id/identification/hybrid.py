@@ -25,7 +25,7 @@ from hybrid_id.identification.adjoint import Snapshot, Writer
 from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
-from hybrid_id.identification.keep import as_content, fingerprint, read_checkpoint, write_checkpoint
+from hybrid_id.identification.keep import fingerprint, read_checkpoint, write_checkpoint
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.networks import output_shares, with_memory, with_price, with_scales
 from hybrid_id.identification.objective import Loss
@@ -240,7 +240,7 @@ def train_hybrid(
 
     def keep() -> None:
         if checkpoint is not None:
-            state = None if training.state is None else as_content(training.state)
+            state = None if training.state is None else dict(vars(training.state))
             write_checkpoint(checkpoint, vars(training) | {"state": state}, identity)
 
     try:

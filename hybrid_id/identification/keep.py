@@ -277,8 +277,3 @@ def read_checkpoint(
             "it holds them), or start anew."
         )
     return made
-
-
-def as_content(state: Any) -> dict[str, Any]:
-    """The fields of a dataclass, as a checkpoint holds them."""
-    return {f.name: getattr(state, f.name) for f in fields(state)}

@@ -405,7 +405,14 @@ def minimise(
     data = torch.zeros_like(cost).index_add(0, sets, samples).clamp_min(1.0)
     start = theta[index].abs().amax(1)
     bounds = replace(problem.bounds, scale=torch.maximum(0.1 * start, problem.bounds.scale))
-    bounds = replace(bounds, scale=_scale(best, bounds, (2.0 * cost / data)[sets]))
+    # where neither start value nor range gives a size that steps are measured by, a standard error is it: a fixed one
+    # would end the fit, as steps as short as it allows may be far below the standard error, as if converged
+    variances = (2.0 * cost / data)[sets, None]
+    information = best.hessian.diagonal(dim1=1, dim2=2)[:, -len(bounds.scale) :] / variances
+    told = torch.isfinite(information).all(1)
+    total = information[told].mean(0) if bool(told.any()) else torch.zeros_like(bounds.scale)
+    larger = torch.maximum(total.clamp_min(1e-300).rsqrt(), bounds.scale)
+    bounds = replace(bounds, scale=torch.where((bounds.sized == 0) & (total > 0), larger, bounds.scale))
     known = torch.isfinite(cost)
     status = ["max_iterations" if ok else "diverged" for ok in known.tolist()]
     running = known.nonzero().flatten()  # numbers of the sets that still run: an index, no mask
@@ -508,20 +515,3 @@ def comes_to_nothing(costs: Tensor, data: Tensor, least_gain: float) -> Tensor:
     nothing = NOTHING * (2.0 * cost / data).clamp_min(PERFECT)
     little = (gain >= 0.0) & (gain < torch.maximum(least_gain * beyond, nothing))
     return little | (cost > LOST * costs.amin(0))
-
-
-def _scale(e: Evaluation, bounds: Bounds, residual_variance: Tensor) -> Tensor:
-    """Sizes that steps are measured by, ``(n_f,)``: a standard error where neither start value nor range gives one.
-
-    A fixed size would end the fit: steps as short as it allows may be far below the standard error, as if converged.
-
-    Args:
-        e: evaluation at the start.
-        bounds: box and scales.
-        residual_variance: of the weighted residuals of the set of each row, ``(R,)``.
-    """
-    information = e.hessian.diagonal(dim1=1, dim2=2)[:, -len(bounds.scale) :] / residual_variance[:, None]
-    known = torch.isfinite(information).all(1)
-    total = information[known].mean(0) if bool(known.any()) else torch.zeros_like(bounds.scale)
-    unknown = (bounds.sized == 0) & (total > 0)
-    return torch.where(unknown, torch.maximum(total.clamp_min(1e-300).rsqrt(), bounds.scale), bounds.scale)

@@ -45,7 +45,11 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
         batch: the records.
         iterations: steps at most.
     """
-    parts = np.asarray(_parts(batch))
+    fold, time = folds(batch), np.cumsum(batch.dt.numpy(), 1) - batch.dt.numpy()
+    if fold is None:  # a single record is left out block by block
+        parts = (np.floor(time / BLOCK + 1e-9).astype(int) + np.arange(batch.rows)[:, None]) % PARTS
+    else:
+        parts = np.broadcast_to(fold[:, None], time.shape)
     model = Linearised(result, batch, parts)
     if not model.inside:
         return list(result.residual)
@@ -155,13 +159,3 @@ def started_without(result: FitResult, batch: Batch, fold: np.ndarray) -> np.nda
         cost = [model.cost(part, p, run) for p, run in zip(points, runs, strict=True)]
         found.append(points[int(np.argmin(cost))])
     return np.array(found)
-
-
-def _parts(batch: Batch) -> np.ndarray:
-    """Number of the part that each sample belongs to, ``(R, T)``; a single record is left out block by block."""
-    time = np.cumsum(batch.dt.numpy(), 1) - batch.dt.numpy()
-    fold = folds(batch)
-    if fold is not None:
-        return np.broadcast_to(fold[:, None], time.shape)
-    blocks = np.floor(time / BLOCK + 1e-9).astype(int)
-    return (blocks + np.arange(batch.rows)[:, None]) % PARTS

@@ -159,14 +159,6 @@ def _step(metric: Tensor, slope: Tensor, damping: Tensor, box: tuple[Tensor, Ten
     return unit * bounded_lm_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
 
 
-def _distance(problem: Problem, state: GaussNewtonState) -> Tensor:
-    """Length of the undamped step of each set in standard errors, ``(G,)``."""
-    box = problem.box(state.q, trust=False)
-    step = _step(state.metric, state.slope, torch.zeros_like(state.cost), box)
-    size = (step * (state.metric @ step[..., None])[..., 0]).sum(1)
-    return (size.clamp_min(0.0) * problem.data / (2.0 * state.cost).clamp_min(1e-300)).sqrt()
-
-
 def advance(
     problem: Problem, state: GaussNewtonState, tolerance: float, max_iterations: int
 ) -> GaussNewtonState:

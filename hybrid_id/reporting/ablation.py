@@ -186,13 +186,7 @@ def change_figure(result: Ablation, shown: Sequence[str]) -> Figure:
 
 
 def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.ndarray]) -> Page:
-    """The page.
-
-    Args:
-        dataset: the records.
-        result: the ablation.
-        pictures: its figures by name.
-    """
+    """The page of an ablation."""
     (lead, *others), repeats = verdict(result), len(result.splits)
     page = Page(f"Physics only or hybrid? {dataset.name}", lead)
     what = (

@@ -155,24 +155,28 @@ def drift_figure(study: HybridStudy) -> Figure:
 
 
 @journal()
-def map_figure(role: NetworkRole) -> Figure:
-    """A network's output over speed and angle, and the motion of the records."""
+def map_figure(
+    angle: np.ndarray, speed: np.ndarray, output: np.ndarray, seen: np.ndarray, title: str, words: str
+) -> Figure:
+    """A network's output ``(n_v, n_q)`` over angle and speed, and both at samples of the records, ``(n, 2)``."""
     figure = new_figure(2.6, 4.6)
     axes = figure.subplots()
-    reach = float(np.abs(role.map).max()) or 1.0
-    image = axes.pcolormesh(
-        role.angle, role.speed, role.map, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
-    )
-    axes.plot(role.seen[:, 1], role.seen[:, 0], ".", ms=1.2, color="black", alpha=0.35, label="records")
-    axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=f"network at {role.where}")
-    figure.colorbar(image, label=f"output [{role.unit.replace(' ', chr(0x2009))}]")
+    reach = float(np.abs(output).max()) or 1.0
+    image = axes.pcolormesh(angle, speed, output, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True)
+    axes.plot(seen[:, 0], seen[:, 1], ".", ms=1.2, color="black", alpha=0.35)
+    axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=title)
+    figure.colorbar(image, label=words)
     return figure
 
 
 def hybrid_pictures(study: HybridStudy) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
     figures = {"drift": drift_figure(study)} if study.result.chosen else {}
-    figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
+    for role in study.roles:
+        words = f"output [{role.unit.replace(' ', chr(0x2009))}]"
+        figures[f"map_{role.where.replace('/', '_')}"] = map_figure(
+            role.angle, role.speed, role.map, role.seen[:, ::-1], f"network at {role.where}", words
+        )
     return {name: pixels(figure) for name, figure in figures.items()}
 
 
@@ -216,15 +220,7 @@ def hybrid_page(
     alone: Study,
     residuals: Residuals,
 ) -> Page:
-    """The page of a hybrid training.
-
-    Args:
-        dataset: the records.
-        study: the result.
-        pictures: its pictures by name.
-        alone: physics alone as `identify` would judge it.
-        residuals: tests of the residuals of physics alone and of the chosen system.
-    """
+    """The page of a hybrid training, with physics ``alone`` as `identify` would judge it."""
     result = study.result
     page = Page(f"Physics and networks on {dataset.name}", _lead(study))
     warnings = (Text(f"{words[0].upper()}{words[1:]}.", style="yellow") for words in study.warnings)

@@ -19,14 +19,8 @@ from hybrid_id import __version__
 from hybrid_id.reporting.provenance import program
 from hybrid_id.reporting.style import png
 
-_TEMPLATES = Environment(
-    loader=PackageLoader("hybrid_id.reporting", "."),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
-
-
+_LOADER = PackageLoader("hybrid_id.reporting", ".")
+_TEMPLATES = Environment(loader=_LOADER, autoescape=True, trim_blocks=True, lstrip_blocks=True)
 Cell = tuple[str, str]
 """A cell of a table as it is printed, and its CSS classes."""
 

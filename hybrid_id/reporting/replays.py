@@ -33,14 +33,7 @@ def replay_page(
     *,
     findings: Sequence[Finding] = (),
 ) -> Page:
-    """The page of `simulate` (one model) and `compare` (several).
-
-    Args:
-        dataset: the records.
-        comparison: free runs of the models over them.
-        figures: a picture a record, by its name.
-        findings: what the check of the records remarked.
-    """
+    """The page of `simulate` (one model) and `compare` (several), with what the check of the records remarked."""
     labels = list(comparison.replays)
     title = (
         f"{labels[0]} on {dataset.name}" if len(labels) == 1 else f"{len(labels)} models on {dataset.name}"

@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis_words import joined, percent
+from hybrid_id.reporting.hybrid import map_figure
 from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import journal, new_figure, pixels
+from hybrid_id.reporting.style import pixels
 from hybrid_id.reporting.tables import count, records_table, table
-from hybrid_id.study.residual_torques import ArmHybrid, TorqueMap
+from hybrid_id.study.residual_torques import ArmHybrid
 
 _HOW = (
     "Each joint is taken by itself, the others as measured. Physics is fitted alone, then a network of the joint's "
@@ -119,35 +119,18 @@ def residuals_table(found: ArmHybrid) -> RenderableType:
     return Group(Text(lead(found), style="bold"), joints_table(found), *skipped)
 
 
-@journal()
-def map_figure(name: str, of: TorqueMap) -> Figure:
-    """A network's torque over angle and speed, and the motion of the records."""
-    figure = new_figure(2.6, 4.6)
-    axes = figure.subplots()
-    reach = float(np.abs(of.torque).max()) or 1.0
-    image = axes.pcolormesh(
-        of.angle, of.speed, of.torque, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
-    )
-    axes.plot(of.seen[:, 0], of.seen[:, 1], ".", ms=1.2, color="black", alpha=0.35)
-    axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=name)
-    figure.colorbar(image, label="opposing torque [N\u2009m]")
-    return figure
-
-
 def residuals_pictures(found: ArmHybrid) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
     maps = {name: one.map for name, one in found.joints.items() if one.map is not None}
-    return {f"map_{k}": pixels(map_figure(name, of)) for k, (name, of) in enumerate(maps.items(), 1)}
+    words = "opposing torque [N\u2009m]"
+    return {
+        f"map_{k}": pixels(map_figure(of.angle, of.speed, of.torque, of.seen, name, words))
+        for k, (name, of) in enumerate(maps.items(), 1)
+    }
 
 
 def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, np.ndarray]) -> Page:
-    """The page of networks joint by joint.
-
-    Args:
-        dataset: the records.
-        found: the result.
-        pictures: its pictures by name.
-    """
+    """The page of networks joint by joint."""
     page = Page(f"Physics and networks on {dataset.name}", lead(found))
     joints = page.section("Joints").add(joints_table(found), _HOW)
     joints.add(*(f"not taken: {name} ({why})." for name, why in found.skipped.items()))

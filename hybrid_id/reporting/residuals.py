@@ -71,7 +71,15 @@ def residual_blocks(
         "verdict",
     )  # fmt: skip
     for label, one in pairs:
-        table.add_row(label, title(one.output, channels), *_cells(one, channels))
+        correlated = ["none moves", "", ""]
+        if one.follows:
+            first = one.follows[0]
+            at_lag = f"{first.correlation:.2f} ({count(first.lag, 'sample')})"
+            correlated = [title(first.input, channels), at_lag, f"± {first.band:.2f}"]
+        outside = f"{100 * one.outside:.0f} % of {one.lags}" if np.isfinite(one.outside) else ""
+        shared = f"{one.shared:.2f}" if np.isfinite(one.shared) else ""
+        size = f"{one.rms:.3g}" if np.isfinite(one.rms) else "none"
+        table.add_row(label, title(one.output, channels), size, outside, shared, *correlated, one.verdict)
     return [*words, table, _HOW]
 
 
@@ -124,18 +132,3 @@ def residual_result(residuals: Residuals) -> dict[str, list[dict[str, object]]]:
         ]
         for name, tests in residuals.items()
     }
-
-
-def _cells(test: ResidualTest, channels: Sequence[Channel]) -> list[str]:
-    first = test.follows[0] if test.follows else None
-    correlated = ["none moves", "", ""]
-    if first is not None:
-        correlated = [
-            title(first.input, channels),
-            f"{first.correlation:.2f} ({count(first.lag, 'sample')})",
-            f"± {first.band:.2f}",
-        ]
-    outside = f"{100 * test.outside:.0f} % of {test.lags}" if np.isfinite(test.outside) else ""
-    shared = f"{test.shared:.2f}" if np.isfinite(test.shared) else ""
-    size = f"{test.rms:.3g}" if np.isfinite(test.rms) else "none"
-    return [size, outside, shared, *correlated, test.verdict]

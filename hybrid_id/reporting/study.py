@@ -182,15 +182,7 @@ def study_page(
     findings: Sequence[Finding] = (),
     residuals: Residuals | None = None,
 ) -> Page:
-    """The page of a study.
-
-    Args:
-        dataset: the records.
-        study: the result.
-        figures: its pictures by name.
-        findings: what the check of the records remarked.
-        residuals: tests of the residuals of the selected set.
-    """
+    """The page of a study, with what the check of the records remarked, and tests of the selected set's residuals."""
     page = Page(f"Identification of {dataset.name}", _lead(dataset, study, residuals))
     page.section("Parameters").add(study_table(study, full=True))
     identified = page.section("What these records identify").add(identifiability_table(study.identifiability))

@@ -30,7 +30,7 @@ from hybrid_id.reporting.style import (
     symbol,
 )
 from hybrid_id.reporting.tables import count
-from hybrid_id.statistics.profile import Profile
+from hybrid_id.statistics.residuals import LEVEL
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.study.excitation import ArmExcitation
@@ -45,13 +45,7 @@ MAX_NUMBERED = 14
 
 
 def study_figures(dataset: Dataset, study: Study, runs: Sequence[Replay]) -> dict[str, np.ndarray]:
-    """Every picture of a study by the name of its file.
-
-    Args:
-        dataset: the records.
-        study: the result.
-        runs: replays of all records by the selected set.
-    """
+    """Every picture of a study by the name of its file, with replays of all records by the selected set."""
     figures = {"parameters": parameter_figure(study)}
     if min(study.cross_validation.fits.shape[:2]) > 1:
         figures["cross_validation"] = cross_validation_figure(study)
@@ -62,7 +56,7 @@ def study_figures(dataset: Dataset, study: Study, runs: Sequence[Replay]) -> dic
         title = f"{run.record.name} ({run.record.role})"
         with_set = f"{title}, parameter set {study.selection.name}"
         title = with_set if len(with_set) < MAX_TITLE else title
-        figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
+        figures[f"fit_{run.record.name}"] = _overlay(dataset, {"simulated": run}, title)
     return {name: pixels(figure) for name, figure in figures.items()}
 
 
@@ -80,7 +74,51 @@ def parameter_figure(study: Study) -> Figure:
         if k >= count:
             axes.set_axis_off()
             continue
-        _parameter(axes, study, k, intervals[:, k])
+        x = np.arange(len(study.sets))
+        exponent = power_of_ten(study.values[:, k])
+        values = study.values[:, k] / 10.0**exponent
+        sides = np.abs(intervals[:, k] / 10.0**exponent - values[:, None])  # to the lower and the upper end
+        spec = study.system.parameter(study.names[k]).spec
+        if spec.prior_std is not None and spec.prior_mean is not None:
+            low, high = ((spec.prior_mean + side * spec.prior_std) / 10.0**exponent for side in (-1, 1))
+            axes.axhspan(low, high, color=COLOURS[5], alpha=0.18, lw=0, label="prior ± 1 std")
+        axes.plot(
+            [],
+            [],
+            "o",
+            ms=3.5,
+            color=COLOURS[0],
+            label="one set a record" if not study.pooled else "pooled set",
+        )
+        axes.plot([], [], "o", ms=4.5, color=COLOURS[1], label="selected")
+        for i in x:
+            colour, size = (COLOURS[1], 4.5) if i == study.selection.index else (COLOURS[0], 3.5)
+            known = bool(np.isfinite(sides[i]).all())
+            bar = sides[i][:, None] if known else None
+            axes.errorbar(
+                x[i], values[i], yerr=bar, fmt="o", ms=size, mfc=colour if known else "white", mec=colour,
+                ecolor=colour, elinewidth=0.9, capsize=1.8, capthick=0.9,
+            )  # fmt: skip
+        title = symbol(study.names[k])
+        if study.variation is not None:
+            axes.axhline(
+                study.variation.mean[k] / 10.0**exponent,
+                color=GREY,
+                lw=0.8,
+                ls=(0, (4, 2)),
+                zorder=0,
+                label="mean",
+            )
+            percent = study.variation.percent[k]
+            title += f",  std/mean {'< 0.01' if percent < 0.01 else f'{percent:.3g}'} %"
+        axes.set_title(title, loc="left")
+        axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
+        axes.set_xlim(-0.6, len(x) - 0.4)
+        shown = x[:: math.ceil(len(x) / MAX_TICKS)]
+        names = [
+            "all" if study.pooled else shortened(study.cross_validation.set_names[i], MAX_NAME) for i in shown
+        ]
+        axes.set_xticks(shown, names, rotation=45, ha="right", rotation_mode="anchor")
     for k in range(max(0, count - columns), count):
         grid.flat[k].tick_params(labelbottom=True)
         grid.flat[k].set_xlabel("set" if study.pooled else "record")
@@ -90,50 +128,6 @@ def parameter_figure(study: Study) -> Figure:
         )
     legend_above(figure, grid.flat[0])
     return figure
-
-
-def _parameter(axes: Axes, study: Study, k: int, intervals: np.ndarray) -> None:
-    x = np.arange(len(study.sets))
-    exponent = power_of_ten(study.values[:, k])
-    values = study.values[:, k] / 10.0**exponent
-    sides = np.abs(intervals / 10.0**exponent - values[:, None])  # to the lower and the upper end
-    spec = study.system.parameter(study.names[k]).spec
-    selected = study.selection.index
-    if spec.prior_std is not None and spec.prior_mean is not None:
-        low, high = ((spec.prior_mean + side * spec.prior_std) / 10.0**exponent for side in (-1, 1))
-        axes.axhspan(low, high, color=COLOURS[5], alpha=0.18, lw=0, label="prior ± 1 std")
-    axes.plot(
-        [], [], "o", ms=3.5, color=COLOURS[0], label="one set a record" if not study.pooled else "pooled set"
-    )
-    axes.plot([], [], "o", ms=4.5, color=COLOURS[1], label="selected")
-    for i in x:
-        colour, size = (COLOURS[1], 4.5) if i == selected else (COLOURS[0], 3.5)
-        known = bool(np.isfinite(sides[i]).all())
-        bar = sides[i][:, None] if known else None
-        axes.errorbar(
-            x[i], values[i], yerr=bar, fmt="o", ms=size, mfc=colour if known else "white", mec=colour, ecolor=colour,
-            elinewidth=0.9, capsize=1.8, capthick=0.9,
-        )  # fmt: skip
-    title = symbol(study.names[k])
-    if study.variation is not None:
-        axes.axhline(
-            study.variation.mean[k] / 10.0**exponent,
-            color=GREY,
-            lw=0.8,
-            ls=(0, (4, 2)),
-            zorder=0,
-            label="mean",
-        )
-        percent = study.variation.percent[k]
-        title += f",  std/mean {'< 0.01' if percent < 0.01 else f'{percent:.3g}'} %"
-    axes.set_title(title, loc="left")
-    axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
-    axes.set_xlim(-0.6, len(x) - 0.4)
-    shown = x[:: math.ceil(len(x) / MAX_TICKS)]
-    names = [
-        "all" if study.pooled else shortened(study.cross_validation.set_names[i], MAX_NAME) for i in shown
-    ]
-    axes.set_xticks(shown, names, rotation=45, ha="right", rotation_mode="anchor")
 
 
 @journal()
@@ -197,7 +191,7 @@ def residual_figure(study: Study, sample_time: float) -> Figure:
         color=GREY,
         alpha=0.35,
         lw=0,
-        label=f"{100 * white.level:.0f} % band of white noise",
+        label=f"{100 * LEVEL:.0f} % band of white noise",
     )
     left.axhline(0.0, color="black", lw=0.5)
     bins, sizes = np.linspace(-4, 4, 42), np.sqrt(np.mean(residual**2, axis=0))
@@ -289,7 +283,24 @@ def profile_figure(study: Study) -> Figure:
     figure = new_figure(1.9 * rows + 0.3, WIDTH * columns / COLUMNS if columns > 1 else 3.5)
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes, (name, profile) in zip(grid.flat, study.profiles.items(), strict=False):
-        _panel(axes, study, name, profile)
+        k = study.names.index(name)
+        estimate = study.selected.values[k]
+        minimum = profile.costs[np.argmin(np.abs(profile.values - estimate))]
+        exponent = power_of_ten(np.array([estimate, *profile.values]))
+        factor = 10.0**-exponent
+        rise = (profile.costs - minimum) / (profile.threshold - minimum)
+        ends = [e for e, closed in zip((profile.lower, profile.upper), profile.closed, strict=True) if closed]
+        axes.plot(factor * profile.values, rise, "o-", ms=3, color=COLOURS[0])
+        axes.plot(factor * estimate, 0.0, "o", ms=4.5, color=COLOURS[1])
+        error = study.standard_errors(study.selection.index)[k]
+        if np.isfinite(error):
+            half = 0.5 * float(np.diff(normal_interval(estimate, error, study.level))[0])
+            value = np.linspace(profile.values.min(), profile.values.max(), 100)
+            axes.plot(factor * value, ((value - estimate) / half) ** 2, color=GREY, lw=0.8)
+        axes.axhline(1.0, color="black", lw=0.8, ls="--")
+        for end in ends:
+            axes.axvline(factor * end, color=COLOURS[0], lw=0.8, ls=":")
+        axes.set(ylim=(-0.1, TOP), xlabel=f"{symbol(name)} {scaled_unit(study.selected.units[k], exponent)}")
     for axes in list(grid.flat)[count:]:
         axes.set_axis_off()
     for axes in grid[:, 0]:
@@ -297,35 +308,9 @@ def profile_figure(study: Study) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, study: Study, name: str, profile: Profile) -> None:
-    k, index = study.names.index(name), study.selection.index
-    estimate = study.selected.values[k]
-    minimum = profile.costs[np.argmin(np.abs(profile.values - estimate))]
-    exponent = power_of_ten(np.array([estimate, *profile.values]))
-    factor = 10.0**-exponent
-    rise = (profile.costs - minimum) / (profile.threshold - minimum)
-    ends = [e for e, closed in zip((profile.lower, profile.upper), profile.closed, strict=True) if closed]
-    axes.plot(factor * profile.values, rise, "o-", ms=3, color=COLOURS[0])
-    axes.plot(factor * estimate, 0.0, "o", ms=4.5, color=COLOURS[1])
-    error = study.standard_errors(index)[k]
-    if np.isfinite(error):
-        half = 0.5 * float(np.diff(normal_interval(estimate, error, study.level))[0])
-        value = np.linspace(profile.values.min(), profile.values.max(), 100)
-        axes.plot(factor * value, ((value - estimate) / half) ** 2, color=GREY, lw=0.8)
-    axes.axhline(1.0, color="black", lw=0.8, ls="--")
-    for end in ends:
-        axes.axvline(factor * end, color=COLOURS[0], lw=0.8, ls=":")
-    axes.set(ylim=(-0.1, TOP), xlabel=f"{symbol(name)} {scaled_unit(study.selected.units[k], exponent)}")
-
-
 MAX_INPUTS = 3
 MAX_LABEL = 32
 LEGEND_COLUMNS = 3
-
-
-def fit_figure(dataset: Dataset, replay: Replay, title: str = "") -> Figure:
-    """One record: each output measured and simulated, its residual, and the inputs below."""
-    return _overlay(dataset, {"simulated": replay}, title or f"{replay.record.name} ({replay.record.role})")
 
 
 def comparison_figure(dataset: Dataset, comparison: Comparison, record: str) -> Figure:
@@ -336,14 +321,14 @@ def comparison_figure(dataset: Dataset, comparison: Comparison, record: str) -> 
 
 
 @journal()
-def excitation_figure(design: Multisine, name: str = "u1") -> Figure:
+def excitation_figure(design: Multisine) -> Figure:
     """A designed multisine over time, and the amplitude of its tones."""
     figure = new_figure(2.3)
     left, right = figure.subplots(1, 2, width_ratios=(3, 1))
     left.plot(design.time, design.signal, color=COLOURS[0], lw=0.8)
     for limit in (design.offset - design.peak, design.offset + design.peak):
         left.axhline(limit, color=GREY, lw=0.6, ls=(0, (4, 2)))
-    left.set(xlabel="time [s]", ylabel=label(name, "V"))
+    left.set(xlabel="time [s]", ylabel=label("u1", "V"))
     left.set_title(f"crest factor {design.crest_factor:.3f}", loc="left")
     left.margins(x=0)
     right.vlines(design.frequencies, 0, design.amplitudes, color=COLOURS[0])
@@ -372,7 +357,10 @@ def arm_excitation_figure(design: ArmExcitation) -> Figure:
 @journal()
 def _overlay(dataset: Dataset, replays: Mapping[str, Replay], title: str) -> Figure:
     record = next(iter(replays.values())).record
-    inputs = _moving(record.inputs)
+    # the inputs that are worth a panel: those that change, settings of the loop last
+    moving = [name for name, values in record.inputs.items() if np.ptp(values) > 0]
+    moving.sort(key=lambda name: stem(name) in ("gain", "enable", "supply"))
+    inputs = moving[:MAX_INPUTS]
     signals = [
         channel for channel in dataset.outputs if all(channel.name in r.outputs for r in replays.values())
     ]
@@ -426,10 +414,3 @@ def _signal(
     main.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=LEGEND_COLUMNS, borderaxespad=0.0)
     below.set_ylabel("residual\n" + label(channel.name, unit).split(" ")[-1])
     pad(below)
-
-
-def _moving(inputs: Mapping[str, np.ndarray]) -> list[str]:
-    """The inputs that are worth a panel: those that change, settings of the loop last."""
-    moving = [name for name, values in inputs.items() if np.ptp(values) > 0]
-    settings = ("gain", "enable", "supply")
-    return sorted(moving, key=lambda name: stem(name) in settings)[:MAX_INPUTS]

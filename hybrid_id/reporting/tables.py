@@ -112,7 +112,12 @@ def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> R
     )
     shown = worst[:most] if most else worst
     rows = (
-        (base.text(k, TERMS), f"{based.values[k]:.4g}", _figure(based.std[k]), _percent(relative[k]))
+        (
+            base.text(k, TERMS),
+            f"{based.values[k]:.4g}",
+            f"{based.std[k]:.2g}" if math.isfinite(based.std[k]) else "none",
+            _percent(relative[k]),
+        )
         for k in shown
     )
     title = "base parameter" if len(shown) == len(worst) else f"{len(shown)} of {len(worst)}, the worst first"
@@ -122,10 +127,6 @@ def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> R
         f"{1e3 * INDEPENDENT:g} ms; kg, kg m, kg m^2 in the joints' own axes"
     )
     return Group(Text(words), motion, table(heads, rows), Text(note, style="dim"))
-
-
-def _figure(value: float) -> str:
-    return f"{value:.2g}" if math.isfinite(value) else "none"
 
 
 def _percent(value: float) -> str:

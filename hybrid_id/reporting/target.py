@@ -121,12 +121,7 @@ def target_result(errors: TargetErrors) -> dict[str, Any]:
 
 
 def target_page(errors: TargetErrors, name: str) -> Page:
-    """The page beside an exported file.
-
-    Args:
-        errors: of the models in MuJoCo.
-        name: of the file.
-    """
+    """The page beside an exported file of a name: the errors of the models in MuJoCo."""
     summary, *lines = error_lines(errors)
     page = Page(f"{name}: the {errors.label} model in MuJoCo", summary)
     page.section("Errors in MuJoCo").add(

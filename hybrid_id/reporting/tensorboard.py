@@ -81,13 +81,9 @@ def _overlay(one: Overlay) -> Figure:
 def write_study_events(
     folder: Path, study: Study, images: Mapping[str, np.ndarray], *, curves: bool = True
 ) -> None:
-    """Write event files of a study.
+    """Write event files of a study: parameters and fits by number of the set, its loss over the iterations, pictures.
 
-    Args:
-        folder: where to.
-        study: parameters of each set, by number of the set; its loss over the iterations; its fits.
-        images: pictures by name, (H, W, 3).
-        curves: whether the scalars are written; not where a training has written its own.
+    ``images`` are (H, W, 3) by name; without ``curves`` no scalars are written, where a training has written its own.
     """
     with SummaryWriter(str(folder)) as writer:
         for i, result in enumerate(study.sets if curves else ()):
@@ -103,13 +99,7 @@ def write_study_events(
 
 
 def write_diagnosis_events(folder: Path, diagnosis: Diagnosis, images: Mapping[str, np.ndarray]) -> None:
-    """Write event files of a diagnosis: errors on the test records, shares, probabilities, and the pictures.
-
-    Args:
-        folder: where to.
-        diagnosis: the result.
-        images: pictures by name, (H, W, 3).
-    """
+    """Write event files of a diagnosis: errors on test records, shares, probabilities, pictures (H, W, 3) by name."""
     with SummaryWriter(str(folder)) as writer:
         for name, errors in errors_by_name(diagnosis).items():
             writer.add_scalar(f"gap/{name}", errors.nrmse)

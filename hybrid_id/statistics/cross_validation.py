@@ -65,8 +65,8 @@ class Selection:
         return f"{self.reason}; {same if self.paper_index == self.index else other}"
 
 
-def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE) -> Selection:
-    """The set of least std/mean of fit among those whose mean fit is within `tolerance` points of the best.
+def select(matrix: CrossValidation) -> Selection:
+    """The set of least std/mean of fit among those whose mean fit is within `TOLERANCE` points of the best.
 
     Differs from the paper, which takes the least std/mean of all: that rewards a set which is bad everywhere alike.
     Sets that diverge on a record, or fit no better than the mean of the data, are selected only where there is no
@@ -74,7 +74,6 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE) -> Selectio
 
     Args:
         matrix: Cross-validation matrix; the signals are averaged.
-        tolerance: Points of fit.
     """
     fits = matrix.matrix()
     diverged = np.any(np.isneginf(fits), axis=1)
@@ -95,12 +94,12 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE) -> Selectio
         return Selection(index, name, index, name, mean, std, percent, usable, reason)
     percent = np.where(usable, 100 * np.nan_to_num(std) / np.where(usable, mean, 1.0), np.inf)
 
-    candidate = usable & (mean >= mean[usable].max() - tolerance)
+    candidate = usable & (mean >= mean[usable].max() - TOLERANCE)
     index = int(np.argmin(np.where(candidate, percent, np.inf)))
     paper = int(np.argmin(percent))
     name = matrix.set_names[index]
     reason = (
         f"{name} has the least std/mean of fit, {percent[index]:.2f} %, among the {candidate.sum()} of {len(mean)} "
-        f"sets within {tolerance:g} points of the best mean fit; its own is {mean[index]:.2f} %"
+        f"sets within {TOLERANCE:g} points of the best mean fit; its own is {mean[index]:.2f} %"
     )
     return Selection(index, name, paper, matrix.set_names[paper], mean, std, percent, candidate, reason)

@@ -270,9 +270,8 @@ class _Levels:
         """Robots far from the median in some parameter (n,) bool."""
         own, error = self.own(self.start()[1])
         apart, scatter = _around_median(own, error)
-        return np.asarray(
-            (apart > FAR * np.maximum(scatter, error)).any(1)
-        )  # nothing is far where nothing is known
+        # nothing is far where nothing is known
+        return np.asarray((apart > FAR * np.maximum(scatter, error)).any(1))
 
     def around_mean(self, t: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, ...]:
         """Of each robot with the fleet's spread: what it says of the mean.
@@ -345,9 +344,8 @@ class _Levels:
         left = np.eye(len(t)) - shrink @ total
         spreads = shrink + left @ covariance @ np.swapaxes(left, -1, -2)
         errors = np.sqrt(np.maximum(np.einsum("nii->ni", spreads), 0.0))
-        deviation = np.zeros_like(
-            own
-        )  # of each from the others' mean, in standard deviations of what is expected
+        # of each from the others' mean, in standard deviations of what is expected
+        deviation = np.zeros_like(own)
         for k, counts in enumerate(kept):
             rest, certain = scaled_inverse(precision - counts * precisions[k])
             others = rest @ (precision @ mean - counts * known[k])

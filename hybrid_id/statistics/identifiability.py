@@ -149,7 +149,12 @@ def identifiability(
     gradients = [c.gradient(size) / c.evaluate(size) for c in combinations]
     data = (vectors[:, ~hopeless] * singular[~hopeless] ** 2) @ vectors[:, ~hopeless].T
     prior = prior_matrix(prior_precision, len(values)) * np.outer(size, size)
-    relative_std = _marginal(data + prior)
+    # errors of parameters in units of each one's own: else one that is known far better than another drowns it
+    unit = np.sqrt(np.where(np.diag(data + prior) > 0, np.diag(data + prior), 1.0))
+    squares, axes = np.linalg.eigh((data + prior) / np.outer(unit, unit))
+    open_axes = squares <= 1e-13 * len(squares) * squares[-1]
+    relative_std = np.linalg.norm(axes[:, ~open_axes] / np.sqrt(squares[~open_axes]), axis=1) / unit
+    relative_std = np.where(np.linalg.norm(axes[:, open_axes], axis=1) > 1e-3, np.inf, relative_std)
 
     directions = []
     for move, vector in zip(moves.T, basis.T, strict=True):
@@ -177,16 +182,6 @@ def identifiability(
         combinations=combinations,
         combination_std=np.array([np.linalg.norm(g @ leading) for g in gradients]),
     )
-
-
-def _marginal(information: np.ndarray) -> np.ndarray:
-    """Standard errors (p,) from an information matrix on a relative scale; inf where a null direction leads."""
-    # in units of each parameter's own error: else one that is known far better than another drowns it
-    unit = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
-    squares, vectors = np.linalg.eigh(information / np.outer(unit, unit))
-    null = squares <= 1e-13 * len(squares) * squares[-1]
-    std = np.linalg.norm(vectors[:, ~null] / np.sqrt(squares[~null]), axis=1) / unit
-    return np.where(np.linalg.norm(vectors[:, null], axis=1) > 1e-3, np.inf, std)
 
 
 def _words(

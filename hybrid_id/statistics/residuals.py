@@ -27,23 +27,20 @@ class Whiteness:
         correlation: (L + 1, n_y); 1 at lag 0.
         band: white residuals stay within plus-minus this at a single lag.
         outside: share of the lags above 0 that leave the band, (n_y,).
-        level: confidence of the band.
     """
 
     lags: np.ndarray
     correlation: np.ndarray
     band: float
     outside: np.ndarray
-    level: float
 
 
-def whiteness(residual: Sequence[np.ndarray], *, lags: int = LAGS, level: float = LEVEL) -> Whiteness:
+def whiteness(residual: Sequence[np.ndarray], *, lags: int = LAGS) -> Whiteness:
     """Autocorrelation ``R(k) = Σ r_t r_{t+k} / Σ r_t²`` and the band of white residuals.
 
     Args:
         residual: weighted residuals of each record, (T, n_y).
         lags: greatest lag; at most a quarter of the shortest record.
-        level: confidence of the band.
     """
     lags = max(1, min(lags, min(len(r) for r in residual) // 4))
     total = np.zeros((lags + 1, residual[0].shape[1]))
@@ -51,9 +48,9 @@ def whiteness(residual: Sequence[np.ndarray], *, lags: int = LAGS, level: float 
         for k in range(lags + 1):
             total[k] += np.sum(r[: len(r) - k] * r[k:], axis=0)
     correlation = total / np.where(total[0] > 0, total[0], 1.0)
-    band = float(ndtri(0.5 + level / 2) / np.sqrt(sum(len(r) for r in residual)))
+    band = float(ndtri(0.5 + LEVEL / 2) / np.sqrt(sum(len(r) for r in residual)))
     outside = np.mean(np.abs(correlation[1:]) > band, axis=0)
-    return Whiteness(np.arange(lags + 1), correlation, band, outside, level)
+    return Whiteness(np.arange(lags + 1), correlation, band, outside)
 
 
 @dataclass(frozen=True)
@@ -149,14 +146,7 @@ def residual_test(
     )  # fmt: skip
 
 
-def follows(
-    name: str,
-    residual: Sequence[np.ndarray],
-    signal: Sequence[np.ndarray],
-    *,
-    lags: int = LAGS,
-    level: float = LEVEL,
-) -> Follows:
+def follows(name: str, residual: Sequence[np.ndarray], signal: Sequence[np.ndarray]) -> Follows:
     """Strongest correlation ``R(k) = Σ e_t u_{t-k}`` at lags 1 .. L: an input acts on what comes after it.
 
     Of residuals that have nothing to do with the input ``R(k)`` has the variance ``Σ_l R_e(l) R_u(l)``, whatever their
@@ -166,10 +156,8 @@ def follows(
         name: of the input.
         residual: of each record, ``(T,)``.
         signal: the input alike.
-        lags: greatest lag; at most a quarter of the shortest record.
-        level: confidence of the band.
     """
-    lags = max(1, min(lags, min(len(r) for r in residual) // 4))
+    lags = max(1, min(LAGS, min(len(r) for r in residual) // 4))
     width = 1 << (2 * max(len(r) for r in residual) - 1).bit_length()
     centred = [[np.fft.rfft(s - s.mean(), width) for s in signals] for signals in (residual, signal)]
     reach = width // 8
@@ -180,5 +168,5 @@ def follows(
     best = int(np.argmax(np.abs(across)))
     # what chance leaves of the sum itself must not make the band narrower than that of white residuals
     spread = max(float(own[0] @ own[1]) * 2.0 / scale**2 - 1.0, 1.0)
-    band = float(ndtri(1.0 - 0.5 * (1.0 - level) / lags) * np.sqrt(spread / sum(len(r) for r in residual)))
+    band = float(ndtri(1.0 - 0.5 * (1.0 - LEVEL) / lags) * np.sqrt(spread / sum(len(r) for r in residual)))
     return Follows(name, float(across[best]) / scale, best + 1, band)

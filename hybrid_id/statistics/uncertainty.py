@@ -133,12 +133,6 @@ def prior_matrix(prior_precision: np.ndarray | None, size: int) -> np.ndarray:
     return np.diag(prior) if prior.ndim == 1 else prior
 
 
-def diagonal_scale(information: np.ndarray) -> np.ndarray:
-    """What a matrix of information is divided by for a unit diagonal (p,); 1 for a parameter that moves nothing."""
-    scale = np.sqrt(np.diag(information))
-    return np.where(scale > 0, scale, 1.0)
-
-
 def scaled_inverse(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pseudo-inverse (p, p) of an information matrix, and which parameters it determines (p,) bool.
 
@@ -152,7 +146,8 @@ def scaled_inverse(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def scaled_eigen(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Scale to a unit diagonal (p,), eigenvalues (p,) and vectors (p, p) then, and which are identified (p,) bool."""
-    scale = diagonal_scale(information)
+    scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0, scale, 1.0)  # 1 for a parameter that moves nothing
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     return scale, values, vectors, values > _NUMERICALLY_NULL * len(values)
 
@@ -241,7 +236,7 @@ def _newey_west_lag(series: Sequence[np.ndarray]) -> int:
 
 
 def jackknife_covariance(
-    jacobian: Arrays, residual: Arrays, *, prior_precision: np.ndarray | None = None, blocks: int = BLOCKS
+    jacobian: Arrays, residual: Arrays, *, prior_precision: np.ndarray | None = None
 ) -> Covariance:
     """Delete-a-block jackknife, each estimate moved by one exact Gauss-Newton step of the reduced data.
 
@@ -254,12 +249,11 @@ def jackknife_covariance(
         jacobian: weighted Jacobian of one record or of several (convention: `uncertainty`).
         residual: weighted residuals alike.
         prior_precision: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
-        blocks: number of blocks over all records; no block spans two records.
     """
     records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
     samples, pieces = sum(len(r) for _, r in records), []
     for j, r in records:
-        share = max(1, round(blocks * len(r) / samples))
+        share = max(1, round(BLOCKS * len(r) / samples))
         pieces += zip(np.array_split(j, share), np.array_split(r, share), strict=True)
     gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
     hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])

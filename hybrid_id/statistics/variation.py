@@ -23,8 +23,6 @@ class Variation:
         percent: 100 std / |mean| (p,); nan for a single experiment, inf for a mean of zero.
         held: (p,) bool; fixed or held by a prior, so that a small scatter says nothing about the records.
         acceptable: (p,) bool; percent within the limit and not held.
-        limit: Limit of percent.
-        n_sets: Number of experiments.
     """
 
     names: tuple[str, ...]
@@ -33,24 +31,15 @@ class Variation:
     percent: np.ndarray
     held: np.ndarray
     acceptable: np.ndarray
-    limit: float
-    n_sets: int
 
 
-def variation(
-    parameter_sets: np.ndarray,
-    names: Sequence[str],
-    *,
-    held: Collection[str] = (),
-    limit: float = ACCEPTABLE_PERCENT,
-) -> Variation:
+def variation(parameter_sets: np.ndarray, names: Sequence[str], *, held: Collection[str] = ()) -> Variation:
     """std/mean in % of each parameter over the experiments, with the paper's rule of 30 %.
 
     Args:
         parameter_sets: (n, p), one row per experiment; rows with a value that is not finite (failed fits) are left out.
         names: Names of the p parameters.
         held: Names of parameters that were fixed or held by a prior: they take no part in claims.
-        limit: Acceptable std/mean [%].
     """
     sets = np.asarray(parameter_sets, float)
     sets = sets[np.all(np.isfinite(sets), axis=1)]
@@ -60,9 +49,8 @@ def variation(
     with np.errstate(divide="ignore", invalid="ignore"):
         percent = np.where((mean == 0) & (std > 0), np.inf, 100 * std / np.abs(mean))
     held_mask = np.isin(names, list(held))
-    return Variation(
-        tuple(names), mean, std, percent, held_mask, (percent <= limit) & ~held_mask, limit, len(sets)
-    )
+    acceptable = (percent <= ACCEPTABLE_PERCENT) & ~held_mask
+    return Variation(tuple(names), mean, std, percent, held_mask, acceptable)
 
 
 def error_of_mean(parameter_sets: np.ndarray) -> np.ndarray:

@@ -415,10 +415,8 @@ def run_cells(
     cells: Sequence[Cell],
     files: Callable[[str], Path],
     *,
-    jobs: int = 1,
-    scheduler: str | None = None,
     program: str = __version__,
-    done: Callable[..., object] | None = None,
+    **how: Any,
 ) -> tuple[list[CellResult], Mapping[str, str]]:
     """Compute cells, and keep each as soon as it is done; those of an earlier run are not computed again.
 
@@ -426,10 +424,8 @@ def run_cells(
         task: what they share.
         cells: which ones.
         files: where the result of a name is kept.
-        jobs: processes on this machine.
-        scheduler: address of an existing Dask cluster, which is taken instead.
         program: what computes them, of which others' results are not taken.
-        done: see :func:`hybrid_id.study.many.each_kept`.
+        how: ``jobs``, ``scheduler`` and ``done`` of :func:`hybrid_id.study.many.each_kept`.
 
     Returns:
         The results of the cells that are done, and why others broke, by name.
@@ -442,6 +438,6 @@ def run_cells(
     shared = digest_of(decides)
     results, failed = each_kept(
         run_cell, task, {cell.name: cell for cell in cells}, kind=CellResult, files=files,
-        key=lambda cell: (program, shared, cell), jobs=jobs, scheduler=scheduler, done=done,
+        key=lambda cell: (program, shared, cell), **how,
     )  # fmt: skip
     return list(results.values()), failed

@@ -412,16 +412,9 @@ def study_residuals(
     chosen = study.selected
     fitted = [dataset[name] for name in dict.fromkeys(chosen.records)]
     parts = {"train": (fitted, chosen.x0)} | ({"test": (dataset.test, None)} if dataset.test else {})
+    how = {"horizon": study.horizon, "signal_share": signal_share}
     return {
-        role: residual_tests(
-            dataset,
-            chosen.system,
-            chosen.engine,
-            records=records,
-            x0=x0,
-            horizon=study.horizon,
-            signal_share=signal_share,
-        )
+        role: residual_tests(dataset, chosen.system, chosen.engine, records=records, x0=x0, **how)
         for role, (records, x0) in parts.items()
     }
 

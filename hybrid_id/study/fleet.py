@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -136,10 +137,8 @@ def identify_fleet(
     folder: Path,
     *,
     horizon: Horizon | None = None,
-    jobs: int = 1,
-    scheduler: str | None = None,
     program: str = __version__,
-    done: Callable[..., object] | None = None,
+    **how: Any,
 ) -> FleetStudy:
     """Identify each robot by its own records, keep it in a file of its name, and compare all of them.
 
@@ -149,10 +148,8 @@ def identify_fleet(
         folder: that keeps them; robots of an earlier run that it holds are not fitted again.
         horizon: how long the free runs are; None to let the first robot's records choose for all, so that their errors
             of fit can be compared.
-        jobs: processes on this machine.
-        scheduler: address of an existing Dask cluster, which is taken instead.
         program: what computes them, of which others' results are not taken.
-        done: see :func:`hybrid_id.study.many.each_kept`.
+        how: ``jobs``, ``scheduler`` and ``done`` of :func:`hybrid_id.study.many.each_kept`.
 
     Raises:
         InputError: fewer than three have estimates, or no cluster answers.
@@ -165,7 +162,7 @@ def identify_fleet(
         new, broken = each_kept(
             fit_robot, (system, horizon), {robot.name: robot for robot in some}, kind=RobotFit,
             files=lambda name: folder / f"{name}.json", key=lambda robot: (made_from, robot.digest),
-            jobs=jobs, scheduler=scheduler, done=done,
+            **how,
         )  # fmt: skip
         fits.update(new)
         failed.update(broken)

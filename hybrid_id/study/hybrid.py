@@ -6,16 +6,15 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError, close_match, listed
-from hybrid_id.identification.adjoint import Writer
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.hybrid import HybridOptions, HybridResult, Progress, physics_of, train_hybrid
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, physics_of, train_hybrid
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.networks import effects, networks_of, physical_names, span
 from hybrid_id.records.dataset import Dataset
@@ -23,7 +22,6 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.residuals import ResidualTest
 from hybrid_id.statistics.uncertainty import autocorrelation_robust
@@ -168,41 +166,31 @@ def hybridise(
     dataset: Dataset,
     system: System,
     *,
-    engine: OdeEngine | None = None,
     options: HybridOptions | None = None,
     validation: Sequence[str] | None = None,
     device: str = "cpu",
     signal_share: float = SIGNAL_SHARE,
     level: float = 0.95,
-    writer: Writer | None = None,
-    checkpoint: Path | None = None,
-    resume: Path | None = None,
-    progress: Progress | None = None,
+    **settings: Any,
 ) -> HybridStudy:
     """Train a model with networks on the train records, and say what the networks do there.
 
     Args:
         dataset: train records are trained on; test records are only scored, unless they have to validate.
         system: model with at least one residual network.
-        engine: solver and kind of gradient.
         options: settings of the training.
         validation: names of the records that say when to end and whether to keep the networks (default: see
             :func:`split`).
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         level: confidence of the intervals.
-        writer: takes the history of the training.
-        checkpoint: file that holds the training.
-        resume: checkpoint to go on from.
-        progress: called after each gradient; see :func:`hybrid_id.identification.hybrid.train_hybrid`.
+        settings: further arguments of :func:`hybrid_id.identification.hybrid.train_hybrid`.
     """
     options = options or HybridOptions()
     train, held = split(dataset, validation)
     batch, looked = (batch_of(dataset, system, part, signal_share, device) for part in (train, held))
-    result = train_hybrid(
-        copy.deepcopy(system).to(device), batch, looked, engine=engine, options=options, writer=writer,
-        checkpoint=checkpoint, resume=resume, progress=progress, spread=correlated_errors,
-    )  # fmt: skip
+    start = copy.deepcopy(system).to(device)
+    result = train_hybrid(start, batch, looked, options=options, spread=correlated_errors, **settings)
     system, batch = copy.deepcopy(system).to("cpu"), batch.to("cpu")  # what follows is done once
     for trained in (result.physics, *result.models):
         trained.system.to("cpu")
@@ -213,11 +201,8 @@ def hybridise(
     everything = batch_of(dataset, system, dataset.records, signal_share)
     misses = [weighted_errors(s, result.engine, everything) for s in (first.system, chosen.system)]
     # how far the records are met with parameters of their own, from those of the fit with one set for all
-    physics, smooth = (
-        result.physics,
-        Engine("smooth", result.physics.engine.substeps, result.physics.engine.width),
-    )
-    alone = physics_of(system, batch)[1]
+    physics, alone = result.physics, physics_of(system, batch)[1]
+    smooth = Engine("smooth", physics.engine.substeps, physics.engine.width)
     sets = fit(physics.system, alone, engine=smooth, options=Options(loss=options.loss), warm=False)
     residuals = np.concatenate([row.reshape(-1) for one in sets for row in one.residual])
     own = float(np.sqrt(np.square(residuals).sum() / sum(one.n_samples for one in sets)))
@@ -339,7 +324,32 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
         # the least change of the parameters that comes nearest to what the network causes
         size = lengths.clamp_min(1e-300)
         nearest = (torch.linalg.pinv(physical / size, rtol=1e-6) @ caused / size).tolist()
-        speed, angle, values_at, seen = _map(system, place, networks, part, x, u, p)
+        with torch.no_grad():  # its output on a grid of speeds and angles
+            at_link = place in LINK_PLACES
+            angle, speed = (
+                joint.link_motion(x, p) if at_link else (x[joint.positions[0]], x[joint.positions[0] + 1])
+            )[:2]
+            turn = 2.0 * torch.pi
+            low, high = float(angle.min()), float(angle.max())
+            if high - low > turn and not any(name == "angle" for name in part.inputs):
+                low, high = 0.0, turn  # what knows the angle by its sine and cosine alone repeats itself
+            reach = float(speed.abs().max())
+            speeds = torch.linspace(-reach, reach, GRID, dtype=speed.dtype, device=speed.device)
+            angles = torch.linspace(low, high, GRID, dtype=angle.dtype, device=speed.device)
+            v, q = (grid.reshape(-1) for grid in torch.meshgrid(speeds, angles, indexing="ij"))
+            signals = []
+            for read, signal in zip(part.inputs, networks.signals(place, x, u, p)[0], strict=True):
+                if match := HARMONIC.fullmatch(read):
+                    signals.append((torch.sin if match[1] == "sin" else torch.cos)(float(match[2]) * q))
+                elif read in ("angle", "speed", "direction"):
+                    signals.append(q if read == "angle" else v)
+                else:
+                    signals.append(signal.mean().expand_as(q))
+            rest = [torch.zeros_like(q)] * part.memory
+            key = networks.by_place[place][0]
+            on_grid = part.output(p[key], signals, rest).reshape(GRID, GRID)
+            wrapped = angle if high - low != turn else angle % turn
+            seen = torch.stack([speed, wrapped], 1)[::10]
         found.append(
             NetworkRole(
                 f"{joint.name}/{place}", joint.drive.input[1].gives if place == "input" else "N m",
@@ -349,7 +359,7 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
                 float((basis.T @ caused).norm()) / length if length > 0 else 0.0,
                 tuple(alike), dict(zip(free, nearest, strict=True)),
                 dict(zip(free, (length / lengths.clamp_min(1e-300)).tolist(), strict=True)),
-                speed, angle, values_at, seen,
+                *(grid.cpu().numpy() for grid in (speeds, angles, on_grid, seen)),
             )
         )  # fmt: skip
     return tuple(found)
@@ -357,38 +367,6 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
 
 def _ratio(part: Tensor, whole: Tensor) -> float:
     return float(part / whole) if float(whole) > 0 else 0.0
-
-
-@torch.no_grad()
-def _map(system: System, place: str, networks, part, x, u, p) -> tuple[np.ndarray, ...]:
-    """Speeds, angles and the network's output on their grid, and the speeds and angles that the records visit."""
-    joint = networks.joint
-    at_link = place in LINK_PLACES
-    angle, speed = (
-        joint.link_motion(x, p) if at_link else (x[joint.positions[0]], x[joint.positions[0] + 1])
-    )[:2]
-    turn = 2.0 * torch.pi
-    low, high = float(angle.min()), float(angle.max())
-    if high - low > turn and not any(name == "angle" for name in part.inputs):
-        low, high = 0.0, turn  # what knows the angle by its sine and cosine alone repeats itself
-    reach = float(speed.abs().max())
-    speeds = torch.linspace(-reach, reach, GRID, dtype=speed.dtype, device=speed.device)
-    angles = torch.linspace(low, high, GRID, dtype=angle.dtype, device=speed.device)
-    v, q = (grid.reshape(-1) for grid in torch.meshgrid(speeds, angles, indexing="ij"))
-    signals = []
-    for name, signal in zip(part.inputs, networks.signals(place, x, u, p)[0], strict=True):
-        if match := HARMONIC.fullmatch(name):
-            signals.append((torch.sin if match[1] == "sin" else torch.cos)(float(match[2]) * q))
-        elif name in ("angle", "speed", "direction"):
-            signals.append(q if name == "angle" else v)
-        else:
-            signals.append(signal.mean().expand_as(q))
-    rest = [torch.zeros_like(q)] * part.memory
-    key = networks.by_place[place][0]
-    output = part.output(p[key], signals, rest).reshape(GRID, GRID)
-    wrapped = angle if high - low != turn else angle % turn
-    seen = torch.stack([speed, wrapped], 1)[::10]
-    return speeds.cpu().numpy(), angles.cpu().numpy(), output.cpu().numpy(), seen.cpu().numpy()
 
 
 def hybrid_residuals(

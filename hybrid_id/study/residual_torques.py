@@ -318,12 +318,8 @@ def _with_network(
     richer = richer.with_specs(priors)
     engine = compiled_for(richer, physics.engine)
     part = horizon.cut(richer, engine, batch_of(dataset, richer, records, signal_share))
-    settings = {
-        "pooled": True,
-        "engine": engine,
-        "options": Options(max_iterations=ITERATIONS),
-        "warm": False,
-    }
+    options = Options(max_iterations=ITERATIONS)
+    settings = {"pooled": True, "engine": engine, "options": options, "warm": False}
     learnt = fit(richer, part, **settings)[0].system
     reach = {name: HELD * std for name, std in standard_errors(physics).items()}
     known = {name: learnt.parameter(name).spec for name in reach}

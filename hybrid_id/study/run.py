@@ -93,17 +93,30 @@ def identify(
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     engine, batch = compiled_for(system, engine or Engine()), None
     if jobs > 1 and not pooled:
-        settings = {
-            "engine": engine,
-            "options": options or Options(),
-            "starts": starts,
-            "seed": seed,
-            "kept": kept,
-        }
-        sets, horizon = fit_in_processes(
-            dataset, system, settings, jobs=jobs, device=device, signal_share=signal_share, horizon=horizon,
-            watch=getattr(progress, "watch", None),
-        )  # fmt: skip
+        records, watch = dataset.train, getattr(progress, "watch", lambda _: None)
+        options = options or Options()
+        settings = {"engine": engine, "options": options, "starts": starts, "seed": seed, "kept": kept}
+        shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
+        with TemporaryDirectory() as folder:
+            stop = Path(folder) / "stop"
+
+            def fitted(over: Horizon) -> list[FitResult]:
+                shared = dataset, system, settings, stop, over, device, signal_share
+                with whole_pool():
+                    results: Any = Parallel(jobs)(delayed(fit_share)(share, *shared) for share in shares)
+                by_record = {fit.records[0]: fit for fits in results for fit in fits}
+                return [by_record[record.name] for record in records]
+
+            watch(stop)
+            try:
+                sets = fitted(horizon or WHOLE)
+                if horizon is None:
+                    whole = batch_of(dataset, system, records, signal_share, "cpu")
+                    horizon = choose_horizon(system, engine, whole, sets, options=options)
+                    if horizon.kind != "whole":  # stopped before, the sets are those of whole records
+                        sets, horizon = (sets, WHOLE) if stop.exists() else (fitted(horizon), horizon)
+            finally:
+                watch(None)
     else:
         batch = batch_of(dataset, system, dataset.train, signal_share, device)
         model = copy.deepcopy(system).to(device)  # the caller's stays where it is
@@ -111,18 +124,26 @@ def identify(
             model, engine, batch, horizon, pooled=pooled, options=options, starts=starts, seed=seed, kept=kept,
             progress=progress,
         )  # fmt: skip
+    shifts = None
+    if noisier and not any(result.left_early or result.status == "diverged" for result in sets):
+        # To the first order in the noise's variance, twice the noise moves an estimate as far again as once the noise
+        # has moved it from the truth: J. R. Cook and L. A. Stefanski, Simulation-extrapolation estimation in parametric
+        # measurement error models, JASA 89, 1994. Differs from it in that the estimate stays and its error is widened.
+        for result in sets:
+            result.system.to("cpu")
+        start = torch.stack([result.system.theta().detach() for result in sets], 1)
+        ends = []
+        for data in noisier:
+            noisy = batch_of(data, system, data.train, signal_share)
+            part = horizon.cut(sets[0].system, sets[0].engine, noisy)
+            how = {"engine": sets[0].engine, "options": options, "warm": False, "start_values": start}
+            fits = fit(system, part, pooled=pooled, **how)
+            ends.append([np.where(one.status == "diverged", np.inf, one.values) for one in fits])
+        shifts = np.array(ends) - _estimates(sets)
     return analyse_fits(
-        dataset,
-        system,
-        sets,
-        pooled=pooled,
-        batch=batch,
-        shifts=_shifts(noisier, system, sets, horizon, options, pooled=pooled, signal_share=signal_share),
-        seed=seed,
-        signal_share=signal_share,
-        horizon=horizon,
-        level=level,
-    )
+        dataset, system, sets, pooled=pooled, batch=batch, shifts=shifts, seed=seed, signal_share=signal_share,
+        horizon=horizon, level=level,
+    )  # fmt: skip
 
 
 def fit_sets(
@@ -169,57 +190,6 @@ def fit_sets(
     return sets, horizon
 
 
-def fit_in_processes(
-    dataset: Dataset,
-    system: System,
-    settings: Mapping[str, Any],
-    *,
-    jobs: int,
-    device: str,
-    signal_share: float,
-    horizon: Horizon | None,
-    watch: Callable[[Path | None], None] | None = None,
-) -> tuple[list[FitResult], Horizon]:
-    """Fit each train record of one study, the records shared between processes of this machine.
-
-    Args:
-        dataset: its train records are fitted.
-        system: model with start values.
-        settings: arguments of :func:`fit_sets`: engine, options, starts, seed, kept.
-        jobs: processes.
-        device: torch device.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        horizon: how long the free runs are; None to choose it, see :func:`identify`.
-        watch: gets the file whose existence ends all fits after their iteration, and None when they have ended.
-
-    Returns:
-        The fits in the order of the records, and the horizon that they were fitted over.
-    """
-    records, watch = dataset.train, watch or (lambda _: None)
-    shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
-    with TemporaryDirectory() as folder:
-        stop = Path(folder) / "stop"
-
-        def fitted(over: Horizon) -> list[FitResult]:
-            shared = dataset, system, settings, stop, over, device, signal_share
-            with whole_pool():
-                results: Any = Parallel(jobs)(delayed(fit_share)(share, *shared) for share in shares)
-            by_record = {fit.records[0]: fit for fits in results for fit in fits}
-            return [by_record[record.name] for record in records]
-
-        watch(stop)
-        try:
-            sets = fitted(horizon or WHOLE)
-            if horizon is None:
-                batch = batch_of(dataset, system, records, signal_share, "cpu")
-                horizon = choose_horizon(system, settings["engine"], batch, sets, options=settings["options"])
-                if horizon.kind != "whole":  # stopped before, the sets are those of whole records
-                    sets, horizon = (sets, WHOLE) if stop.exists() else (fitted(horizon), horizon)
-        finally:
-            watch(None)
-    return sets, horizon
-
-
 def fit_share(
     share: Sequence[int],
     dataset: Dataset,
@@ -255,19 +225,10 @@ def analyse_fits(
     horizon: Horizon = WHOLE,
     level: float = 0.95,
 ) -> Study:
-    """The statistics of parameter sets, however they were found.
+    """The statistics of parameter sets, however they were found; other arguments as of :func:`identify`.
 
-    Args:
-        dataset: as in :func:`identify`.
-        system: as there.
-        sets: the sets.
-        pooled: as there.
-        batch: of the train records (default: made anew).
-        shifts: how far noisier inputs move each set, ``(n, n_sets, p)``; see ``noisier`` there.
-        seed: as there.
-        signal_share: as there.
-        horizon: over which the sets were fitted.
-        level: as there.
+    ``batch`` is of the train records (default: made anew), ``shifts`` how far noisier inputs move each set,
+    ``(n, n_sets, p)``, and ``horizon`` the one over which the sets were fitted.
     """
     batch = batch_of(dataset, system, dataset.train, signal_share) if batch is None else batch.to("cpu")
     if all(result.status == "diverged" for result in sets):
@@ -337,43 +298,6 @@ def analyse_fits(
         horizon=horizon, level=level, test_errors=by_output, outputs=with_joint_names(dataset.outputs, system),
         input_error=input_error,
     )  # fmt: skip
-
-
-def _shifts(
-    noisier: Sequence[Dataset],
-    system: System,
-    sets: Sequence[FitResult],
-    horizon: Horizon,
-    options: Options | None,
-    *,
-    pooled: bool,
-    signal_share: float,
-) -> np.ndarray | None:
-    """How far noisier records move each set ``(n, n_sets, p)``; inf where they let it diverge.
-
-    To the first order in the noise's variance, twice the noise moves an estimate as far again as once the noise has
-    moved it from the truth: J. R. Cook and L. A. Stefanski, Simulation-extrapolation estimation in parametric
-    measurement error models, JASA 89, 1994. Differs from it in that the estimate stays and its error is widened.
-    """
-    if not noisier or any(result.left_early or result.status == "diverged" for result in sets):
-        return None
-    for result in sets:
-        result.system.to("cpu")
-    start = torch.stack([result.system.theta().detach() for result in sets], 1)
-    found = []
-    for data in noisier:
-        batch = horizon.cut(sets[0].system, sets[0].engine, batch_of(data, system, data.train, signal_share))
-        ends = fit(
-            system,
-            batch,
-            pooled=pooled,
-            engine=sets[0].engine,
-            options=options,
-            warm=False,
-            start_values=start,
-        )
-        found.append([np.where(one.status == "diverged", np.inf, one.values) for one in ends])
-    return np.array(found) - _estimates(sets)
 
 
 def _estimates(sets: Sequence[FitResult]) -> np.ndarray:

@@ -5,21 +5,19 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.adjoint import Snapshot, TrainOptions, Writer
+from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.adjoint import train as train_batch
-from hybrid_id.identification.fit import Progress
 from hybrid_id.identification.horizons import window_samples
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.statistics.fit import fit_percent
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
@@ -31,30 +29,18 @@ def train(
     dataset: Dataset,
     system: System,
     *,
-    pooled: bool = False,
-    engine: OdeEngine | None = None,
-    options: TrainOptions | None = None,
     device: str = "cpu",
     signal_share: float = SIGNAL_SHARE,
-    writer: Writer | None = None,
-    checkpoint: Path | None = None,
-    resume: Path | None = None,
-    progress: Progress | None = None,
+    **settings: Any,
 ) -> list[FitResult]:
     """Train one parameter set for each train record, or one over all; validation records validate, else test records.
 
     Args:
         dataset: the records.
         system: model with start values; it stays as it is.
-        pooled: one set over all train records.
-        engine: solver and kind of gradient.
-        options: settings.
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        writer: takes the history of the training.
-        checkpoint: file that holds the training after each gradient.
-        resume: checkpoint of the same records and model to go on from.
-        progress: as in :func:`hybrid_id.identification.adjoint.train`.
+        settings: further arguments of :func:`hybrid_id.identification.adjoint.train`.
 
     Raises:
         InputError: no train record.
@@ -66,10 +52,7 @@ def train(
         for records in (dataset.train, dataset.validation or dataset.test)
     )
     assert batch is not None
-    return train_batch(
-        copy.deepcopy(system).to(device), batch, pooled=pooled, engine=engine, options=options, validation=held,
-        writer=writer, checkpoint=checkpoint, resume=resume, progress=progress,
-    )  # fmt: skip
+    return train_batch(copy.deepcopy(system).to(device), batch, validation=held, **settings)
 
 
 def too_long(records: Sequence[Record], windows: Sequence[float]) -> tuple[list[float], str]:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 from drives import make_records, multisine, rigid_drive
+from malformed import write_sound_dataset
+from malformed_models import write_sound_model
 from typer.testing import CliRunner
 
 from hybrid_id.cli.app import app
@@ -53,6 +55,14 @@ def plain(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("plain") / "study.yaml"
     file.write_text(f"dataset: {drive}\n{PLAIN}")
     return file
+
+
+@pytest.fixture
+def sound(tmp_path: Path) -> tuple[Path, Path]:
+    """A sound dataset and a sound model, with little in them."""
+    for name in ("data", "model"):
+        (tmp_path / name).mkdir()
+    return write_sound_dataset(tmp_path / "data"), write_sound_model(tmp_path / "model")
 
 
 @pytest.fixture

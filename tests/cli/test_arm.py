@@ -128,12 +128,12 @@ def test_ctrl_c_between_the_pages_of_a_robot_says_which_are_written(
         arm,
         "--model",
         arm / "model.yaml",
+        "--out",
+        out,
         "--joint",
         "tip",
         "--joint",
         "joint 1/x",
-        "--out",
-        out,
     )
 
     def second_stops(found):
@@ -247,16 +247,8 @@ def test_results_name_the_file_from_their_own_folder(run, arm: Path, tmp_path: P
     assert done.code == 0, done.err
     assert "{file: ../../arm/arm.xml}" in (out / "model.yaml").read_text()
     assert load_model(out / "model.yaml").parameter("F_c_joint 1/x")
-    done = run(
-        "compare",
-        arm,
-        "--model",
-        arm / "model.yaml",
-        "--model",
-        out / "model.yaml",
-        "--out",
-        tmp_path / "both",
-    )
+    both = ("--model", arm / "model.yaml", "--model", out / "model.yaml", "--out", tmp_path / "both")
+    done = run("compare", arm, *both)
     assert done.code == 0, done.err
     done = run("export", out, "--to", "mjcf", "--out", tmp_path / "arm.xml", "--check", arm)
     assert done.code == 0, done.err

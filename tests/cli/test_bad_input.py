@@ -4,81 +4,58 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from malformed import Malformed, contents, malformed_datasets, refused, write_sound_dataset
-from malformed_models import MalformedModel, malformed_models, write_sound_model
-
-
-@pytest.mark.parametrize("case", malformed_datasets(), ids=lambda case: case.name)
-def test_malformed_dataset(case: Malformed, run, tmp_path: Path) -> None:
-    for name in ("data", "model"):
-        (tmp_path / name).mkdir()
-    dataset, model = case.build(tmp_path / "data"), write_sound_model(tmp_path / "model")
-    before = contents(tmp_path)
-    refused(run("identify", dataset, "--model", model, "--out", tmp_path / "new" / "out"), *case.names)
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.parametrize("case", malformed_models(), ids=lambda case: case.name)
-def test_malformed_model(case: MalformedModel, run, tmp_path: Path) -> None:
-    for name in ("data", "model"):
-        (tmp_path / name).mkdir()
-    dataset, model = write_sound_dataset(tmp_path / "data"), case.build(tmp_path / "model")
-    before = contents(tmp_path)
-    refused(run("simulate", dataset, "--model", model, "--out", tmp_path / "out"), *case.names)
-    assert contents(tmp_path) == before
-
+from malformed import contents, malformed_datasets, refused
+from malformed_models import malformed_models
 
 # Each study file's text, and what the sentence must name. DATA is a sound dataset, MODEL a sound model.
+BOTH = "dataset: DATA\nmodel: MODEL\n"
 CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
     "misspelt key": ("dataset: DATA\nidentification: {start: 3}\n", ("identification.start", "'starts'")),
     "no dataset": ("model: MODEL\n", ("study.yaml", "'dataset'", "missing")),
     "dataset of no place": ("dataset: nowhere\nmodel: MODEL\n", ("nowhere", "does not exist")),
     "model of no place": ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
-    "dataset as model": (
-        "dataset: DATA\nmodel: DATA/dataset.yaml\n",
-        ("dataset.yaml", "is a dataset file", "model file"),
-    ),
+    "dataset as model": ("dataset: DATA\nmodel: DATA/dataset.yaml\n", ("is a dataset file", "model file")),
     "model as dataset": ("dataset: MODEL\nmodel: MODEL\n", ("is a model file", "dataset file")),
-    "word for a number": (
-        "dataset: DATA\nidentification: {starts: many}\n",
-        ("identification.starts", "many"),
-    ),
-    "unknown record": (
-        "dataset: DATA\nmodel: MODEL\npreprocessing: {records: [rec_7]}\n",
-        ("'rec_7'", "rec_0"),
-    ),
-    "window upside down": (
-        "dataset: DATA\nmodel: MODEL\npreprocessing: {between: [5, 1]}\n",
-        ("between [5, 1] is reversed",),
-    ),
-    "step longer than the record": (
-        "dataset: DATA\nmodel: MODEL\npreprocessing: {resample: {sample_time: 5}}\n",
-        ("'rec_0'", "5 s"),
-    ),
-    "unknown device": ("dataset: DATA\nmodel: MODEL\nidentification: {device: abacus}\n", ("'abacus'",)),
-    "stage holds a stranger": (
-        "dataset: DATA\nmodel: MODEL\nprevious: {model: MODEL, hold: [f_3]}\n",
-        ("previous", "'f_3'", "both models have"),
-    ),
-    "stage without its model": (
-        "dataset: DATA\nmodel: MODEL\nprevious: {model: nowhere.yaml}\n",
-        ("nowhere.yaml",),
-    ),
+    "name of 300 signs": (f"dataset: {'r' * 300}\nmodel: MODEL\n", ("key 'dataset'", "is longer than the name of any")),
+    "word for a number": ("dataset: DATA\nidentification: {starts: many}\n", ("identification.starts", "many")),
+    "unknown record": (BOTH + "preprocessing: {records: [rec_7]}\n", ("'rec_7'", "rec_0")),
+    "no train record": (BOTH + "preprocessing: {records: [rec_1]}\n", ("no train record",)),
+    "window upside down": (BOTH + "preprocessing: {between: [5, 1]}\n", ("between [5, 1] is reversed",)),
+    "long step": (BOTH + "preprocessing: {resample: {sample_time: 5}}\n", ("'rec_0'", "5 s")),
+    "tiny window": (BOTH + "identification: {window: 1.0e-9}\n", ("identification.window", "25 samples")),
+    "long window": (BOTH + "identification: {window: 100}\n", ("identification.window", "four windows")),
+    "stage holds a stranger": (BOTH + "previous: {model: MODEL, hold: [f_3]}\n", ("'f_3'", "both models have")),
+    "stage without its model": (BOTH + "previous: {model: nowhere.yaml}\n", ("nowhere.yaml",)),
     "not YAML": ("dataset: [DATA\nmodel: ]\n", ("study.yaml", "row 2")),
     "key twice": ("dataset: DATA\ndataset: DATA\n", ("study.yaml", "row 2", "'dataset'")),
+}  # fmt: skip
+
+
+FILES = {
+    f"{kind}: {case.name}": (kind, case)
+    for kind, cases in (("data", malformed_datasets()), ("model", malformed_models()))
+    for case in cases
 }
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_malformed_files(name: str, run, sound: tuple[Path, Path], tmp_path: Path) -> None:
+    kind, case = FILES[name]
+    case.spoil(tmp_path / kind)
+    before = contents(tmp_path)
+    told = run("identify", sound[0], "--model", sound[1], "--out", tmp_path / "new" / "out")
+    refused(told, *case.names)
+    assert contents(tmp_path) == before and "\x1b" not in told.err
+
+
 @pytest.mark.parametrize("name", CONFIGS)
-def test_malformed_config(name: str, run, tmp_path: Path) -> None:
-    for folder in ("data", "model"):
-        (tmp_path / folder).mkdir()
-    dataset, model = write_sound_dataset(tmp_path / "data"), write_sound_model(tmp_path / "model")
+def test_malformed_config(name: str, run, sound: tuple[Path, Path], tmp_path: Path) -> None:
     text, names = CONFIGS[name]
     config = tmp_path / "study.yaml"
-    config.write_text(text.replace("DATA", str(dataset)).replace("MODEL", str(model)))
+    config.write_text(text.replace("DATA", str(sound[0])).replace("MODEL", str(sound[1])))
     before = contents(tmp_path)
-    refused(run("identify", config, "--out", tmp_path / "out"), *names)
+    for command in ("identify", "diagnose"):
+        refused(run(command, config, "--out", tmp_path / "out"), *names)
     assert contents(tmp_path) == before
 
 
@@ -133,6 +110,11 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
         lambda folder: (folder / "out.yaml").write_text('gear_ratio: "50:1"\n'),
         ("key 'gear_ratio' must be a valid number, found '50:1'.",),
     ),
+    "threads beyond all use": ("identify {data} --threads 1000000000 --out {out}", nothing, ("--threads",)),
+    **{
+        f"{option} of 400 digits": (f"identify {{data}} {option} {'9' * 400} --out {{out}}", nothing, (option,))
+        for option in ("--threads", "--starts", "--seed")
+    },
     "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "endless signal": ("excite --duration 1e9 --out {out}", nothing, ("--duration",)),
     "picture over a file": ("excite --starts 1 --out {out}.csv --plot {out}", file_in_the_way, ("out", "--force")),
@@ -142,16 +124,10 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
-def test_wrong_arguments(name: str, run, tmp_path: Path) -> None:
-    for folder in ("data", "model"):
-        (tmp_path / folder).mkdir()
+def test_wrong_arguments(name: str, run, sound: tuple[Path, Path], tmp_path: Path) -> None:
     line, prepare, names = ARGUMENTS[name]
     prepare(tmp_path)
-    given = {
-        "data": write_sound_dataset(tmp_path / "data"),
-        "model": write_sound_model(tmp_path / "model"),
-        "out": tmp_path / "out",
-    }
     before = contents(tmp_path)
-    refused(run(*(word.format(**given) for word in line.split())), *names)
+    words = [word.format(data=sound[0], model=sound[1], out=tmp_path / "out") for word in line.split()]
+    refused(run(*words), *names)
     assert contents(tmp_path) == before

@@ -149,30 +149,6 @@ def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
     assert load_config(tmp_path / "out" / "config.yaml").gap.max_effects == 1
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        (
-            "dataset: DATA\nidentification: {window: 1.0e-9}\n",
-            ("identification.window", "25 samples or more"),
-        ),
-        ("dataset: DATA\nidentification: {window: 100}\n", ("identification.window", "four windows")),
-        ("dataset: DATA\npreprocessing: {records: [run_3]}\n", ("no train record",)),
-    ],
-)
-def test_wrong_input_ends_with_one_sentence(
-    text: str, names: tuple[str, ...], run, records: Path, tmp_path: Path
-) -> None:
-    study = tmp_path / "study.yaml"
-    study.write_text(text.replace("DATA", str(records)))
-    said = run("diagnose", study, "--out", tmp_path / "out")
-    assert said.code == 2
-    assert said.err.count("Error: ") == 1 and said.err.splitlines()[-1].endswith(".")
-    for name in names:
-        assert name in said.err
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_stopped_search_keeps_its_fits_and_resumes(run, plain: Path, tmp_path: Path) -> None:
     """The signal goes to every process of the group, as from a terminal."""
     out = tmp_path / "runs" / "gap"

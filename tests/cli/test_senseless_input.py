@@ -13,8 +13,7 @@ import yaml
 from command_line import whole
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from malformed import change_yaml, contents, refused, write_sound_dataset
-from malformed_models import write_sound_model
+from malformed import change_yaml, contents, refused
 from pydantic import BaseModel
 
 from hybrid_id.cli.console import Screen
@@ -25,14 +24,6 @@ from hybrid_id.records.yaml_file import validate
 HUGE = int("9" * 400)
 
 # --- numbers too big (class 8) ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def sound(tmp_path: Path) -> tuple[Path, Path]:
-    """A sound dataset and a sound model."""
-    for name in ("data", "model"):
-        (tmp_path / name).mkdir()
-    return write_sound_dataset(tmp_path / "data"), write_sound_model(tmp_path / "model")
 
 
 def command_options() -> list[tuple[str, Any]]:
@@ -112,16 +103,6 @@ def test_network_sizes_have_an_end(hidden: list, sound, run, tmp_path: Path) -> 
     refused(run("simulate", dataset, "--model", model, "--out", tmp_path / "out"), "model.yaml", "hidden")
 
 
-@pytest.mark.parametrize(
-    "line", ["--threads 1000000000", f"--threads {HUGE}", f"--starts {HUGE}", f"--seed {HUGE}"]
-)
-def test_numbers_of_the_command_line_are_refused_shortly(line: str, sound, run, tmp_path: Path) -> None:
-    dataset, model = sound
-    outcome = run("identify", dataset, "--model", model, "--out", tmp_path / "out", *line.split())
-    refused(outcome, line.split()[0])
-    assert len(outcome.err) < 600
-
-
 # --- words that no file or screen can hold (classes 4 and 7) ---------------------------------------------------------
 
 ODD = ["\x1b[2J", "\x07", "\x1b]0;title\x07", "\udcff", "\ud800", "\u202egpj", "\x9b31m", "\x00"]
@@ -188,37 +169,3 @@ def test_no_name_reaches_a_terminal_as_a_command(word: str) -> None:
     assert shown(shown(word)) == shown(word)
     for bad in ("\x1b]", "\x1b[2J", "\x07", "\x9b"):
         assert bad not in colour.getvalue()
-
-
-# --- meaning (class 6) ------------------------------------------------------------------------------------------------
-
-SENSELESS: dict[str, tuple[Callable[[dict], object], tuple[str, ...]]] = {
-    "input from the output's column": (
-        lambda values: values.update(columns={"u1": "q_m1"}),
-        ("dataset.yaml", "'columns'", "'u1'", "'q_m1'"),
-    ),
-    "input from the stamps": (lambda values: values.update(columns={"u1": "t"}), ("'columns'", "'u1'", "'t'")),
-    "output from the stamps": (
-        ("'q_m1'", "'t'"),
-    ),
-    "one record's input from the stamps": (
-        lambda values: values["records"][1].update(columns={"u1": "t"}),
-        ("records[1].columns", "'u1'"),
-    ),
-    "nothing left of a column": (
-        ("rec_0.csv", "'u1'", "scale"),
-    ),
-    "nanoseconds as seconds": (
-        ("rec_0", "samples are 2e+06 s apart", "ns"),
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("command", ["identify", "simulate"])
-@pytest.mark.parametrize("name", SENSELESS)
-def test_what_cannot_be_meant_is_refused_before_a_simulation(
-    name: str, command: str, sound, run, tmp_path: Path
-) -> None:
-    change, names = SENSELESS[name]
-    change_yaml(sound[0], change)
-    refused(run(command, sound[0], "--model", sound[1], "--out", tmp_path / "out"), *names)

@@ -7,7 +7,6 @@ from drives import STEP, rigid_drive
 from scipy.integrate import solve_ivp
 
 from hybrid_id.components import (
-    Cogging,
     CurrentCommand,
     Deadband,
     ElectricalLag,
@@ -49,21 +48,6 @@ def test_deadband_in_both_forms() -> None:
     torch.testing.assert_close(whole.map(whole.view(), u, 0 * u), tensor([-3.0, 0.0, 0.0, 0.0, 3.0]))
 
 
-def test_saturation_limits_the_voltage() -> None:
-    part, u = Saturation(V_max=2.0), tensor([-5.0, -1.0, 0.0, 1.0, 5.0])
-    assert part.map(part.view(), u, 0 * u).tolist() == [-2.0, -1.0, 0.0, 1.0, 2.0]
-    high = simulated(DRIVE.with_component("joint1/input", part), np.full(300, 8.0))
-    np.testing.assert_allclose(high, simulated(DRIVE, np.full(300, 2.0)), rtol=1e-12)
-
-
-def test_cogging_does_no_work_over_a_turn() -> None:
-    part = Cogging(T_c=2e-3, T_s=-1e-3, n=7.0)
-    angle = tensor(np.linspace(0.0, 2 * np.pi, 701)[:-1])
-    torque = part.torque(part.view(), angle, 0 * angle).detach()
-    assert abs(float(torque.mean())) < 1e-12
-    assert float(torque.abs().max()) == pytest.approx(np.hypot(2e-3, 1e-3), rel=1e-3)
-
-
 def test_electrical_lag_against_the_winding_equation() -> None:
     # L di/dt + R i = u - k v, J dv/dt = k i - F_v v: two linear equations
     lag, volts = 4e-3, 6.0
@@ -76,14 +60,6 @@ def test_electrical_lag_against_the_winding_equation() -> None:
     time = STEP * np.arange(400)
     exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-10).y[0]
     assert np.abs(found - exact).max() < 2e-3 * np.abs(exact).max()
-
-
-def test_current_lags_with_the_torque() -> None:
-    system = DRIVE.with_component("joint1/motor", ElectricalLag(T_e=4e-3))
-    voltage = np.full(200, 6.0)
-    np.testing.assert_allclose(
-        simulated(system, voltage, "i1"), simulated(system, voltage, "tau1") / P_M2, rtol=1e-9, atol=1e-12
-    )
 
 
 def test_warm_winding_against_its_equation() -> None:

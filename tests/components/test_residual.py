@@ -13,9 +13,8 @@ from torch import Tensor
 from hybrid_id.components import ResidualNetwork
 from hybrid_id.components.bristle import relax
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.compiled import supports_compiled
 from hybrid_id.simulation.rollout import rollout, simulate
-from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
+from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, two_link
 from hybrid_id.systems.model_file import load_model, save_model
@@ -179,13 +178,6 @@ def test_model_file_and_state_dict_keep_it(tmp_path: Path) -> None:
         for name, weight in network(system).weights().items():
             assert torch.equal(network(other).weights()[name], weight)
         assert torch.equal(network(other).scale, network(system).scale)
-
-
-def test_weights_are_beyond_the_table_and_beyond_compiled_steps() -> None:
-    system = hybrid("motor")
-    assert {id(w) for w in extra_parameters(system)} == {id(w) for w in network(system).weights().values()}
-    engine, x = Engine("smooth", compiled=True), torch.zeros(1, dtype=torch.float64)
-    assert supports_compiled(flexible_drive(), engine, x) and not supports_compiled(system, engine, x)
 
 
 def test_faults_are_told(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """A supply that sags, against the circuit that it stands for."""
 
 import numpy as np
-import pytest
 import torch
 
 from hybrid_id.components import SupplySag
@@ -25,14 +24,3 @@ def test_circuit_of_source_amplifier_and_winding_is_solved() -> None:
     duty, current = command / SUPPLY, (given - BACK_EMF * speed) / resistance
     supply = SUPPLY - RHO * resistance * duty * current
     np.testing.assert_allclose(given, duty * supply, rtol=1e-12)
-
-
-def test_motor_that_draws_nothing_sees_the_whole_voltage_and_braking_lifts_it() -> None:
-    free_running, braked = fed([6.0, 6.0], [6.0 / BACK_EMF, 9.0 / BACK_EMF])
-    assert free_running == pytest.approx(6.0)
-    assert braked > 6.0
-
-
-def test_no_resistance_no_sag() -> None:
-    part, u = SupplySag(rho=0.0), torch.linspace(-12, 12, 5, dtype=torch.float64)
-    torch.testing.assert_close(part.map(part.view(), u, 3 * u).detach(), u)

@@ -19,12 +19,10 @@ from hybrid_id.components import (
     HardeningSpring,
     JointFlexibility,
     LinearSpring,
-    LinkEncoder,
     TwoInertias,
 )
 from hybrid_id.components.base import Component, Transmission
 from hybrid_id.components.transmission.flexibility import STIFFEST
-from hybrid_id.simulation.lifted import linearise
 from hybrid_id.simulation.stability import fastest_rate, with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible
@@ -70,14 +68,6 @@ def test_eq_12_and_its_gradients_are_finite_everywhere(exponent: float, sign: fl
     assert torch.isfinite(found).all() and found[1] == 0.0
     grads = torch.autograd.grad(found.sum(), [delta, *p.values()])
     assert all(bool(torch.isfinite(g).all()) for g in grads)
-
-
-def test_half_width_of_eq_12_is_that_of_the_reading_notes() -> None:
-    # the straight line far out meets zero torque near 1 / (alpha beta): 1.1 degrees with Table 4
-    half = 1.0 / (0.31 * 169.34)
-    assert np.degrees(half) == pytest.approx(1.09, abs=0.01)
-    share = torque(BacklashFlexibility(**TABLE_4), [0.2 * half, half, 3 * half]) / (380.16 * half)
-    assert share[0] < 0.05 and 0.3 < share[1] < 0.7 and share[2] > 2.7
 
 
 def test_dead_zone_is_as_wide_as_its_gap_and_linear_beyond() -> None:
@@ -210,43 +200,3 @@ def test_steps_suit_the_loaded_spring_although_records_start_unloaded(part: Tran
     coarse, fine = free_run(system, u), free_run(system, u, 24)
     for name in ("q_m1", "q_a1"):
         assert np.abs(coarse[name] - fine[name]).max() < 2e-3 * np.ptp(fine[name])
-
-
-def test_link_encoder_reads_the_link() -> None:
-    system = drive(Backlash(gap=0.03)).with_component("joint1/sensor", LinkEncoder(offset=0.1))
-    batch = batch_of(system, {"u1": np.zeros(4)}, start={"q_a1": 0.01}, outputs=("q_m1", "q_a1"))
-    lin = linearise(system, Engine(), batch.x, batch.u, batch.dt, stored(system), [], batch.outputs)
-    np.testing.assert_allclose(lin.y[0], [[0.0, 0.11]] * 4)
-
-
-@pytest.mark.parametrize(
-    "part",
-    [
-        Backlash(gap=0.02, compliance=1 / 300.0, zeta=0.2),
-        BacklashFlexibility(**TABLE_4),
-        HardeningSpring(k=100.0, h=300.0, d=0.3),
-        JointFlexibility(compliance=0.004),
-    ],
-    ids=lambda part: part.kind,
-)
-def test_sensitivities_are_those_of_the_map(part: Transmission) -> None:
-    system = drive(part)
-    generator, nodes = np.random.default_rng(2), 20
-    x = generator.normal(0, 1, (nodes, 1, 4)) * [1.0, 10.0, 0.02, 0.3]
-    x[..., 2] += x[..., 0] / 50.0
-    x = tensor(x).repeat(1, 2, 1)
-    u = {"u1": tensor(np.repeat(generator.normal(0, 5, (nodes, 1)), 2, 1))}
-    dt = tensor([STEP, 0.0]).repeat(nodes, 1)
-    engine, theta = Engine(substeps=3), stored(system, nodes)
-    free = [i for i, info in enumerate(system.table) if info.component.endswith(part.kind)]
-    lin = linearise(system, engine, x, u, dt, theta, free, ())
-    for k, index in enumerate(free):
-        size = 1e-4 * max(theta[index, 0].item(), 1e-4)
-        sides = []
-        for sign in (1.0, -1.0):
-            at = theta.clone()
-            at[index] += sign * size
-            sides.append(linearise(system, engine, x, u, dt, at, [], ()).x_next[:, 0])
-        expected, found = (sides[0] - sides[1]) / (2 * size), lin.b[:, 0, :, k]
-        scale = expected.abs().amax(0).clamp_min(1e-6)
-        torch.testing.assert_close(found / scale, expected / scale, rtol=1e-4, atol=1e-4)

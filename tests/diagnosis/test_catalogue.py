@@ -69,28 +69,6 @@ def test_what_nobody_mistakes_and_what_acts_at_two_places() -> None:
     assert separation(("backlash", "joint1/transmission"), ("backlash", "joint2/transmission")) == JOINTS
 
 
-# Confused by diagnoses of published boards (docs/boards), by people, or explained as well by a rival there.
-CONFUSED = (
-    ("thermal_derating", "kinematic_error"), ("load_dependent_friction", "position_dependent_friction"),
-    ("load_dependent_friction", "thermal_derating"), ("load_dependent_friction", "voltage_saturation"),
-    ("load_dependent_friction", "supply_sag"), ("voltage_deadband", "constant_torque"),
-    ("voltage_deadband", "backlash"), ("voltage_deadband", "cogging"), ("voltage_deadband", "delay"),
-    ("voltage_deadband", "position_dependent_friction"), ("asymmetric_friction", "constant_torque"),
-    ("asymmetric_friction", "spring_load"), ("asymmetric_friction", "quadratic_drag"),
-    ("stribeck_friction", "quadratic_drag"), ("stribeck_friction", "cogging"),
-    ("stribeck_friction", "kinematic_error"), ("stribeck_friction", "voltage_saturation"),
-    ("quadratic_drag", "kinematic_error"), ("voltage_saturation", "kinematic_error"),
-    ("coulomb_friction", "position_dependent_friction"), ("presliding_friction", "backlash"),
-    ("joint_flexibility", "delay"), ("joint_flexibility", "kinematic_error"),
-    ("hardening_flexibility", "kinematic_error"), ("spring_load", "constant_torque"),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(("one", "other"), CONFUSED)
-def test_what_has_been_confused_is_told_apart(one: str, other: str) -> None:
-    assert rivals(one)[other]
-
-
 def test_other_names_are_refused() -> None:
     with pytest.raises(InputError, match="'gremlins' is not in the catalogue; it has asymmetric_friction"):
         effect("gremlins")

@@ -134,15 +134,3 @@ def test_the_joint_that_does_not_list_it_shows_the_size_of_the_robot(tilted: Cas
     rows = brought_to(robot, ("base_tilt", "joint3/load"), elbow)
     assert {symbol: info.spec.value for symbol, info in rows.items()} == {"e_x": 0.03, "e_y": 0.1}
     assert not brought_to(robot, ("constant_torque", "joint3/load"), answers["elbow"].found.chosen.system)
-
-
-def test_where_no_robot_can_be_fitted_the_joints_keep_their_answers(
-    tilted: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dataset, nominal, answers = tilted
-
-    def fails(*_: object, **__: object) -> None:
-        raise RuntimeError("diverged")
-
-    monkeypatch.setattr("hybrid_id.diagnosis.whole_robot.kept_fit", fails)
-    assert judged_by_all(WholeRobot(dataset, nominal, answers, WHOLE)) == answers

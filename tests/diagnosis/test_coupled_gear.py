@@ -132,13 +132,3 @@ def test_motors_that_a_loop_holds_are_not_asked(tmp_path: Path) -> None:
         progress=lambda stage, *_: stages.append(stage),
     )
     assert coupled_gears(robot) == () and not stages
-
-
-def test_ctrl_c_in_the_search_with_the_gear_is_not_lost(
-    nominal: System, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(arm, "coupled_gears", lambda _: (GEAR,))
-    robot = WholeRobot(records_of(nominal, 2), nominal, {}, WHOLE)
-    with pytest.raises(KeyboardInterrupt):
-        arm._with_gears(robot, {}, lambda *_, **__: ({}, True))
-    assert arm._with_gears(robot, {}, lambda *_, **__: ({}, False)) == (robot, {}, ())

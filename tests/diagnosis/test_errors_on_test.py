@@ -56,11 +56,6 @@ def test_an_interval_holds_its_share_however_little_there_was_to_close(
     assert found.interval[0] <= found.share <= found.interval[1]
 
 
-def test_same_seed_same_interval(rng: np.random.Generator) -> None:
-    pair = made(rng, 0.1, 16), made(rng, 0.05, 16)
-    assert shrink(*pair, 0.01, seed=3) == shrink(*pair, 0.01, seed=3)
-
-
 def test_what_errs_more_than_before_has_an_interval_below_zero_that_holds_its_share(
     rng: np.random.Generator,
 ) -> None:

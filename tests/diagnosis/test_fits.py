@@ -146,35 +146,6 @@ def test_what_lacks_something_is_held_as_a_data_sheet_holds_it() -> None:
     assert again["J"].prior_std is None and again["P_m1"].prior_std == 0.001
 
 
-@pytest.mark.parametrize(
-    ("predicted", "chosen"),
-    [((2.0, 2.1, 1.0, 1.5), 2), ((1.0, 2.0, 0.985, 3.0), 0), ((4.0, 3.0, 2.0, 1.0), 3)],
-)
-def test_parameters_are_held_as_closely_as_predicts_best_even_behind_a_worse_one(
-    monkeypatch: pytest.MonkeyPatch, predicted: tuple[float, ...], chosen: int
-) -> None:
-    """Errors of records left out scatter from one prior to the next; and the lower of the first two ends goes on."""
-    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    fits, tasks = Fits(dataset), list[Task]()
-    free = fits.run([Task((), nominal)], FULL)[0]
-    assert free is not None
-
-    def run(some: list[Task], iterations: int) -> list[FittedModel | None]:
-        tasks.extend(some)
-        lost = len(tasks) == 1  # the first end, from the nominal values, errs clearly more
-        blocks = np.full_like(free.validation.blocks, 9.0 if lost else predicted[len(tasks) - 2])
-        found = replace(free.validation, blocks=blocks * free.validation.sizes)
-        residual = [(2.0 if lost else 1.0) * row for row in free.result.residual]
-        result = replace(free.result, system=some[0].system, cost=2.0 if lost else 1.0, residual=residual)
-        return [replace(free, result=result, validation=found)]
-
-    monkeypatch.setattr(fits, "run", run)
-    held = fits._base_with_priors(nominal, free)
-    assert held is not None and len(tasks) == 1 + len(predicted)
-    assert held.validation.typical == pytest.approx(predicted[chosen])
-    assert held.system is tasks[chosen + 1].system
-
-
 def test_a_right_model_is_held_by_nothing() -> None:
     dataset, nominal = small_case()
     base = Fits(dataset).base(nominal)

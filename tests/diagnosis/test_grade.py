@@ -310,11 +310,6 @@ def test_without_an_effect_all_of_the_gap_is_unknown_or_noise() -> None:
     assert max(c.probability for c in unknown.effects) < 0.5
 
 
-def test_same_seed_same_grade() -> None:
-    told = search((model(100.0), model(20.0, SPRING), model(30.0, BIAS)))
-    assert grade(NONE, told, 0.4, seed=2) == grade(NONE, told, 0.4, seed=2)
-
-
 def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
     """Friction over the angle with a mean explains whatever dry friction alone does."""
     dry, waves, drop = (

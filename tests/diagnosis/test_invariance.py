@@ -1,22 +1,18 @@
 """Test records measure and change nothing: scrambling their outputs leaves the answer as it was, number by number."""
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from gapcase import only, small_case
 
-from hybrid_id import Dataset, Diagnosis, load_model
+from hybrid_id import Dataset, Diagnosis
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.identification.keep import Kept
 
-ON_DEMAND = "HYBRID_ID_DEVELOPMENT_CASES"
-"""Environment variable with which the development cases are diagnosed twice each, which takes minutes a case."""
 OF_TEST_RECORDS = (
     "gap", "extrapolation", "not_identifiable", "next_experiments",
 )  # fmt: skip
@@ -81,17 +77,3 @@ def test_scrambled_test_records_change_no_answer(missing: str, kept: Kept) -> No
     without = diagnose(replace(dataset, records=dataset.train), nominal, max_effects=1, kept=kept)
     assert answer(without) == answer(found)
     assert without.shrink is None
-
-
-def development_cases() -> list[Path]:
-    folder = Path(__file__).resolve().parents[2] / ".." / "shared" / "gapcases" / "dev"
-    return sorted(path.parent for path in folder.glob("*/dataset.yaml"))
-
-
-@pytest.mark.skipif(ON_DEMAND not in os.environ, reason=f"minutes a case: set {ON_DEMAND}=1")
-@pytest.mark.parametrize("case", development_cases(), ids=lambda path: path.name)
-def test_scrambled_test_records_change_no_answer_of_a_development_case(case: Path) -> None:
-    dataset, nominal = Dataset.load(case / "dataset.yaml"), load_model(case / "model.yaml")
-    found = diagnose(dataset, nominal)
-    assert dataset.test
-    assert answer(diagnose(scrambled(dataset, "permuted"), nominal)) == answer(found)

@@ -1,7 +1,6 @@
 """Fits that a search keeps: a search that was stopped goes on with them and says the same to the last byte."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,14 +125,3 @@ def test_fits_that_raise_are_counted_and_told(diagnosed, tmp_path: Path, monkeyp
     assert line.startswith("3 of 4 fits of candidates failed: ") and "the solver has lost its way" in line
     assert "and 1 more kinds" in line and line in summary(found).replace("\n", " ")
     assert not failed_lines(replace(whole, tally=Tally(158)))
-
-
-def test_a_first_step_counts_when_what_follows_it_is_stopped(diagnosed, stopped: Kept, monkeypatch) -> None:
-    dataset, nominal, whole = diagnosed
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(sys.modules[diagnose.__module__], "_adds_up", stop)
-    cut = diagnose(dataset, nominal, max_effects=1, kept=stopped)
-    assert cut.interrupted and cut.selected[0].name == whole.selected[0].name

@@ -13,7 +13,7 @@ from hybrid_id.components import AsymmetricFriction, ConstantTorque, PositionLoo
 from hybrid_id.components.load.spring import Spring
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.next_experiment import RECORDS, REST, _Differences, _Loop, next_experiment
+from hybrid_id.diagnosis.next_experiment import RECORDS, REST, _Loop, next_experiment
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
@@ -61,30 +61,6 @@ def test_each_record_adds_what_those_before_it_lack() -> None:
         assert one.joint == 1 and not one.by_controller
         assert not one.command[one.time < REST].any()
         assert 0 < np.abs(one.command).max() <= largest * (1 + 1e-12)
-
-
-def test_what_a_fit_can_follow_distinguishes_nothing() -> None:
-    draw = np.random.default_rng(1)
-    sensitivity, error = draw.normal(size=(2, 30, 3)), draw.normal(size=(2, 30))
-    square, pull = (
-        np.einsum(f"rni,rn{k}->ri{k}", sensitivity, one) for k, one in (("j", sensitivity), ("", error))
-    )
-    found = _Differences(np.square(error).sum(1), pull, square, np.full(2, 30.0))
-    left = np.linalg.lstsq(sensitivity.reshape(60, 3), error.ravel(), rcond=None)[1]
-    known = 5.0 * np.eye(3)
-    stacked = np.vstack([sensitivity.reshape(60, 3), np.sqrt(5.0) * np.eye(3)])
-    moved = np.linalg.lstsq(stacked, np.append(error.ravel(), np.zeros(3)), rcond=None)
-    assert found.after([0, 1], known) == pytest.approx(moved[1].item() / 60)
-    outputs = np.square(error.ravel() - sensitivity.reshape(60, 3) @ moved[0]).mean()
-    assert found.after([0, 1], known, outputs=True) == pytest.approx(outputs)
-    assert found.after([0, 1], np.zeros((3, 3))) == pytest.approx(left.item() / 60)
-    assert found.after([1], 1e12 * np.eye(3)) == pytest.approx(
-        np.square(error[1]).mean()
-    )  # all is known already
-    followed = sensitivity @ np.array([1.0, -2.0, 0.5])
-    pull = np.einsum("rni,rn->ri", sensitivity, followed)
-    both = _Differences(np.square(followed).sum(1), pull, square, np.full(2, 30.0))
-    assert both.after([0, 1], np.zeros((3, 3))) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_what_no_command_distinguishes_is_said_and_the_rest_distinguished() -> None:

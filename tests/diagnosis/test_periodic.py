@@ -22,7 +22,6 @@ from hybrid_id.diagnosis.grade import parameters_of
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.periodic import (
     Residual,
-    _peaks,
     friction_spots,
     friction_waves,
     gear_waves,
@@ -47,11 +46,13 @@ def left_by(law: type[Component], **values: float) -> Residual:
     return Residual(finite_difference_fit(today, batch, engine=engine(), iterations=8), batch)
 
 
-def test_periods_of_cogging() -> None:
-    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
-    n, first, second = rotor_waves(fit, 1, "motor")[0]
-    assert n == pytest.approx(1.0, abs=NEAR)
-    assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
+@pytest.mark.parametrize("n", [1.0, 2.23, 0.83])
+def test_periods_of_cogging(n: float) -> None:
+    """Also between whole numbers, beside a gear ratio that is not the nominal one, or of a shaft behind the rotor."""
+    found, first, second = rotor_waves(left_by(Cogging, T_c=0.004, T_s=-0.003, n=n), 1, "motor")[0]
+    assert found == pytest.approx(n, abs=NEAR)
+    if n == 1.0:
+        assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
 
 
 def test_a_wave_that_does_not_come_again_is_none() -> None:
@@ -62,18 +63,6 @@ def test_a_wave_that_does_not_come_again_is_none() -> None:
     assert all(n >= twice for n, *_ in rotor_waves(fit, 1, "motor"))
     short = replace(fit, batch=replace(fit.batch, x=1e-4 * fit.batch.x), _responses=fit._responses)
     assert rotor_waves(short, 1, "motor") == []  # no motor has so many periods a turn
-
-
-def test_periods_between_whole_numbers() -> None:
-    """A gear ratio that is not the nominal one, or a ripple that sits elsewhere than on the rotor."""
-    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=2.23)
-    assert rotor_waves(fit, 1, "motor")[0][0] == pytest.approx(2.23, abs=NEAR)
-
-
-def test_ripples_below_one_a_turn_are_looked_for_as_far_as_they_come_again() -> None:
-    """Of a shaft behind the rotor, or beside a gear ratio that is not the nominal one."""
-    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=0.83)
-    assert rotor_waves(fit, 1, "motor")[0][0] == pytest.approx(0.83, abs=NEAR)
 
 
 def test_whole_numbers_of_periods_are_looked_at_however_far_the_rotor_turns(
@@ -93,11 +82,6 @@ def test_whole_numbers_of_periods_are_looked_at_however_far_the_rotor_turns(
     assert set(map(float, range(1, 49))) <= periods and 84.0 in periods
     monkeypatch.setattr(periodic, "_peaks", lambda found: found[-2:])  # the last that are looked at
     assert [n for (n,) in friction_waves(wide, 1, "motor_friction")] == [3.0, 4.0]
-
-
-def test_a_better_neighbour_stands_for_those_beside_it() -> None:
-    found = [(3, (1.0,)), (4, (2.0,)), (2, (3.0,)), (9, (4.0,)), (5, (5.0,)), (7, (6.0,))]
-    assert [i for i, _ in _peaks(found)] == [3, 9, 7]
 
 
 def test_error_of_a_gear() -> None:

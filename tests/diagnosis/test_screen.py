@@ -1,7 +1,6 @@
 """One selection step: which candidates are fitted further, and which leads."""
 
 import importlib
-import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,12 +9,9 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, Task
+from hybrid_id.diagnosis.fits import COARSE, FINER, Task
 from hybrid_id.diagnosis.screen import (
-    SelectionStep,
     _from_afar,
-    _judged_below,
-    _worth_it,
     best_of_each,
     better_ways,
     effects_of,
@@ -69,48 +65,6 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
     assert simplest_first(sure, small) == sure
     assert simplest_first(sure, large) == [bias, sure[0], weight]
-
-
-def test_who_closes_the_lesser_part_is_not_fitted_further() -> None:
-    before: Any = Fitted((), 5.0)
-
-    def limit(error: float, iterations: int, **other: Any) -> float:
-        """The largest error, by hundredths, with which a rival is fitted further."""
-        best: Any = Fitted((("spring_load", "joint1/load"),), error, **{"judged": False, **other})
-        errors = [0.01 * k for k in range(1, 1000)]
-        able = (
-            e for e in errors if _worth_it(cast(Any, Fitted((), e, judged=False)), best, before, iterations)
-        )
-        return max(able)
-
-    # half of what the best closes where it leaves structure, and what the records may not distinguish from it
-    assert (
-        limit(3.0, FINER, no_structure=False) == limit(3.0, FULL, no_structure=False) == pytest.approx(3.99)
-    )
-    assert limit(1.0, FULL, no_structure=False) == pytest.approx(2.99)
-    assert limit(4.0, FULL, no_structure=False) == pytest.approx(4.0 / 0.89**2, abs=0.01)
-    # beside one that leaves none: what may come down to it yet, and to the end its rivals alone
-    assert limit(1.0, FINER) == pytest.approx(2.49)
-    assert limit(1.0, FULL) == pytest.approx(1.39)
-    # none beyond a tenth of what it closes that surely errs more, be it by less than laws differ
-    assert limit(4.0, FULL) == pytest.approx(4.0 / 0.89**2, abs=0.01)
-    assert limit(4.0, FULL, z=6.0) == pytest.approx(4.09)
-    # errors on records left out and those of fits are not compared
-    assert limit(4.0, FULL, z=6.0, judged=True) == limit(4.0, FULL)
-    # one that will not be accepted has no rivals
-    assert limit(4.96, FULL) == pytest.approx(4.97)
-
-
-def test_rivals_are_judged_unless_records_left_out_bear_out_what_leaves_no_structure() -> None:
-    def below(error: float, **other: Any) -> float:
-        before: Any = Fitted((), 5.0)
-        best: Any = Fitted((("spring_load", "joint1/load"),), error, **other)
-        best.trained, best.autocorrelation, before.autocorrelation = 1.0, 0.05, 0.9
-        return _judged_below([best], before)
-
-    assert 1.0 < below(1.1) < 2.0
-    assert below(1.1, no_structure=False) == below(1.1, judged=False) == below(4.9) == math.inf
-    assert _judged_below([], Fitted((), 5.0)) == math.inf  # type: ignore[arg-type]
 
 
 def test_where_structure_is_left_a_simple_law_leads_that_does_most_of_it() -> None:
@@ -174,48 +128,6 @@ def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted()
     small, done = one(0.94, "gravity_load", "spring_load"), one(0.94, "gravity_load", "spring_load")
     done.no_structure = True
     assert promising(done, weight) and not promising(small, weight)
-
-
-def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = ("asymmetric_friction", "load_dependent_friction")
-
-    def step(*errors: float, rivalry: float = -math.inf) -> Any:
-        found: list[Any] = [
-            Fitted(((n, "joint1/motor_friction"),), e) for n, e in zip(names, errors, strict=False)
-        ]
-        found.sort(key=lambda one: one.error)
-        found[0].z = rivalry
-        return SelectionStep(cast(Any, Fitted((), 100.0)), tuple(found))
-
-    def taken(short: Any, whole: Any, astray: float) -> Any:
-        def tried(*_: Any, among: Any = None, **__: Any) -> Any:
-            kept = [e for e in short.candidates if among is None or e.effects[0] in among]
-            return SelectionStep(short.before, tuple(kept))
-
-        monkeypatch.setattr(module, "selection_step", tried)
-        fits: Any = SimpleNamespace(astray=lambda _: astray)
-        return module._over_short(
-            cast(Any, (None, None)), fits, whole, cast(Any, None), cast(Any, None), None
-        )
-
-    module = importlib.import_module("hybrid_id.diagnosis.diagnose")
-    monkeypatch.setattr(module, "_rivalry", lambda one: one.candidates[0].z)
-    monkeypatch.setattr(module, "accepted_ones", lambda one: list(one.candidates))
-    # no effect follows whole records; over short ones what was lost there explains next to all
-    found = taken(step(10.0, 0.5), step(12.0, 80.0), 0.5)
-    assert found.leader.effects[0][0] == "load_dependent_friction"
-    assert taken(step(10.0, 5.0), step(12.0, 80.0), 0.5) is None  # not next to all
-    # where whole records are followed, only what explains them is looked for over short ones
-    assert taken(step(10.0, 0.5), step(1.0, 80.0), 0.01) is None
-    found = taken(step(1.0, 0.5, rivalry=-5.0), step(1.0, 1.1, rivalry=-1.0), 0.01)
-    assert found.leader.effects[0][0] == "load_dependent_friction"
-    assert taken(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0), 0.01) is None
-    assert taken(step(1.1, 1.0), None, 9.0) is not None
-    # nor does it count where none is accepted that follows them: a fit over whole records may be stuck
-    whole = step(12.0, 80.0)
-    monkeypatch.setattr(module, "accepted_ones", lambda one: [] if one is whole else list(one.candidates))
-    found = taken(step(10.0, 0.5), whole, 0.01)
-    assert found.leader.effects[0][0] == "load_dependent_friction"
 
 
 @pytest.mark.parametrize("structure", [False, True])

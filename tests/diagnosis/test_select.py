@@ -9,21 +9,18 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task, with_priors_of
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, with_priors_of
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
     Selection,
-    _alive,
     _necessary,
     _with_fit,
     _with_whole_numbers,
     accepted,
-    best_without,
     chance,
     leaves_something,
     needed_fall,
-    refitted_without,
     select,
 )
 from hybrid_id.diagnosis.validation import validation
@@ -78,22 +75,6 @@ def test_no_effect_is_looked_for_where_the_errors_are_far_below_the_noise(
     assert found.chosen is base and found.base is base and not found.steps
 
 
-def test_beside_two_effects_only_what_has_brought_anything_beside_one_is_tried() -> None:
-    def fitted(cost: float, *names: str):
-        effects = tuple((name, "joint1/load") for name in names)
-        return SimpleNamespace(effects=effects, result=SimpleNamespace(cost=cost))
-
-    base, weight, both = fitted(9.0), fitted(8.0, "gravity_load"), fitted(4.0, "gravity_load", "spring_load")
-    idle = fitted(7.99, "gravity_load", "joint_coupling")
-    drag = fitted(7.0, "gravity_load", "quadratic_drag")
-    first, second = SelectionStep(base, (weight,)), SelectionStep(weight, (both, drag, idle))
-    assert _alive([first], weight) is None
-    names = _alive([first, second], both)
-    assert names == {("spring_load", "joint1/load"), ("quadratic_drag", "joint1/load")}
-    # where the second effect has made the first needless all are looked at again
-    assert _alive([first, second], fitted(5.0, "spring_load")) is None
-
-
 def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
     """A motor has whole ones; where the gear ratio in the model file is wrong, no whole number predicts as well."""
     name = "cogging", "joint1/motor"
@@ -111,61 +92,6 @@ def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
     assert chosen(4.0) == 4.0
     assert abs(chosen(3.4) - 3.4) < 0.05
     assert abs(chosen(3.4, lower=3.35) - 3.4) < 0.05  # the nearest whole number lies outside the bounds
-
-
-@pytest.mark.parametrize(
-    ("finer", "ends", "asked", "taken"),
-    [
-        (1.0005, None, [FINER], "known"),  # where it is known already: neither fitted further nor judged
-        (1.3, 1.2, [FINER, FULL], "known"),
-        (1.3, 0.9, [FINER, FULL], "new"),
-        (0.95, 0.9, [FINER, FULL], "new"),
-        (9.0, None, [FINER], "known"),  # hopeless
-    ],
-)
-def test_a_model_that_errs_no_less_than_it_is_known_to_is_as_it_is_known(
-    monkeypatch: pytest.MonkeyPatch, finer: float, ends: float | None, asked: list[int], taken: str
-) -> None:
-    known, rich, seen = model(NOISE), model(0.9 * NOISE, PLAY), list[int]()
-    monkeypatch.setattr("hybrid_id.diagnosis.select.without", lambda *_: "start")
-
-    def run(tasks: list[Task], iterations: int) -> list[FittedModel]:
-        seen.append(iterations)
-        size = finer if iterations == FINER else ends
-        assert size is not None
-        found = model(np.sqrt(size) * NOISE)
-        return [replace(found, judged=iterations == FULL and size < tasks[0].judged_below)]
-
-    fits: Any = SimpleNamespace(run=run)
-    found = refitted_without(fits, known, rich, PLAY, known=known)
-    assert found is not None and found.judged and seen == asked
-    assert (found is known) == (taken == "known")
-
-
-def test_a_hopeless_model_that_is_not_known_is_judged_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has seen the records that judge the others, and may not be compared with them before."""
-    monkeypatch.setattr("hybrid_id.diagnosis.select.without", lambda *_: "start")
-
-    def run(tasks: list[Task], iterations: int) -> list[FittedModel]:
-        return [replace(model(3.0 * NOISE), judged=iterations == FULL)]
-
-    fits: Any = SimpleNamespace(run=run)
-    found = refitted_without(fits, model(NOISE), model(0.9 * NOISE, PLAY), PLAY)
-    assert found is not None and found.judged
-
-
-def test_a_model_less_an_effect_predicts_as_well_as_the_search_has_fitted_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    known, both = model(NOISE, PLAY), model(0.9 * NOISE, DELAY, PLAY)
-    worse = replace(
-        model(0.95 * NOISE, PLAY), validation=model(2.0 * NOISE).validation
-    )  # but for its own records
-    monkeypatch.setattr("hybrid_id.diagnosis.select.refitted_without", lambda *_, known: worse)
-    steps = [SelectionStep(model(2.0 * NOISE), (known,))]
-    fits: Any = None
-    assert best_without(fits, model(2.0 * NOISE), both, DELAY, steps) is known
-    assert best_without(fits, model(2.0 * NOISE), both, DELAY, []) is worse
 
 
 def test_of_needless_effects_the_one_whose_loss_costs_least_goes(monkeypatch: pytest.MonkeyPatch) -> None:

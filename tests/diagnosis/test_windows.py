@@ -9,7 +9,7 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis import starts
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.fits import Fits, engine
-from hybrid_id.identification.horizons import Horizon, windows
+from hybrid_id.identification.horizons import windows
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replay import batch_of
@@ -72,11 +72,3 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
     assert all(len(e.result.residual) > len(dataset.train) for e in (found.base, found.chosen))
     assert found.chosen.error < 0.2 * found.base.error
-
-
-def test_the_horizon_of_the_user_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    dataset, nominal = small_case()
-    monkeypatch.setattr(starts, "CATALOGUE", {"spring_load": CATALOGUE["spring_load"]})
-    measured = module.measure(dataset, nominal, horizon=Horizon("windows", 0.3))
-    fits, _ = module.search(measured.fits, measured.base, nominal, choose_horizon=False, max_effects=1)
-    assert fits.horizon == Horizon("windows", 0.3)

@@ -1,6 +1,5 @@
 """The exported MuJoCo model moves as ours does, for every system and every effect that MuJoCo can carry."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +14,6 @@ from hybrid_id.components import (
     Cogging,
     ConstantTorque,
     Coulomb,
-    CurrentCommand,
-    CurrentMotor,
     Dahl,
     Deadband,
     Delay,
@@ -178,27 +175,12 @@ def test_friction_of_a_joint_without_a_gear_is_carried_near_rest(name: str) -> N
     assert apart(system, dataset(channel="tau", size=0.11, seconds=4.0)) < 2e-2
 
 
-def test_a_curve_that_a_bristle_cannot_follow_is_said() -> None:
-    curved = one_link(RATIO).with_component("joint1/motor_friction", Stribeck(F_drop=0.005, v_s=10.0))
-    (note,) = to_mjcf(curved.with_component("joint1/motor_friction", LuGre(sigma_0=0.1, sigma_1=1e-4))).notes
-    assert re.search(r"friction is up to 5 % off the model's curve, 0.0\d+ N m at 1\d rad/s", note), note
-
-
 @pytest.mark.parametrize("name", GEARS)
 def test_gear_is_carried(name: str) -> None:
     pytest.importorskip("mujoco")
     part, limit = GEARS[name]
     system = flexible().with_component("joint1/transmission", part)
     assert apart(system, dataset(outputs=("q_m1", "q_a1"))) < limit
-
-
-def test_current_drive_is_carried() -> None:
-    pytest.importorskip("mujoco")
-    system = one_link(RATIO).with_component("joint1/input", CurrentCommand())
-    system = system.with_component("joint1/motor", CurrentMotor(k_t=0.02)).with_component(
-        "joint1/motor", Cogging()
-    )
-    assert apart(system, dataset(channel="i", size=2.0)) < 2e-3
 
 
 def test_delay_of_a_position_loop_holds_back_the_goal_and_not_the_angle() -> None:

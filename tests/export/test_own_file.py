@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_id.components import MotorEncoder, PositionServo
+from hybrid_id.components import PositionServo
 from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.own_file import mujoco_model
@@ -255,25 +255,6 @@ components:
     assert apart(system, switched) < 1e-2
 
 
-def test_a_servo_by_name_leaves_class_and_goals_of_the_actuators(tmp_path: Path) -> None:
-    """Of the six actuators of SO-101's file the preset changes gains and largest torque alone."""
-    file = Path(__file__).parents[3] / "shared" / "data" / "so101" / "so101_new_calib.xml"
-    if not file.exists():
-        pytest.skip("the shared data are not beside the project")
-    text = file.read_text()
-    system = arm(tmp_path, "robot: {file: arm.xml}\nservos: {all: {preset: sts3215, p: 16}}\n", text)
-    before, after = (
-        [
-            dict(re.findall(r'(\w+)="([^"]*)"', line))
-            for line in re.findall("<(?:position|general) .*name.*", one)
-        ]
-        for one in (text, to_mjcf(system).text)
-    )
-    assert len(before) == len(after) == 6
-    for old, new in zip(before, after, strict=True):
-        assert {name for name in old | new if old.get(name) != new.get(name)} == {"kp", "kv", "forcerange"}
-
-
 def test_a_goal_that_is_limited_on_one_side_is_limited_there(tmp_path: Path) -> None:
     one_side = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 20, k_d: 1, goal_min: -0.2}}]"
     system = arm(tmp_path, "robot: {file: arm.xml}\n" + one_side, ARM.replace(' ctrlrange="-90 90"', ""))
@@ -385,29 +366,6 @@ def test_an_actuator_that_is_kept_says_that_it_takes_a_current(tmp_path: Path) -
     (note,) = exported.notes
     assert "the gear 2 in the place of 1, and takes the motor's current [A]" in note
     assert apart(system, waves(system, [0.1, 0.1], ["i1", "tau2"])) < 2e-3
-
-
-def test_drives_of_other_kinds_move_alike(tmp_path: Path) -> None:
-    system = arm(
-        tmp_path,
-        """
-robot: {file: arm.xml}
-gear_ratio: [50, 20]
-components:
-  - {place: lift/input, kind: voltage}
-  - {place: lift/input, kind: delay, parameters: {T_d: 0.008}}
-  - {place: lift/motor, kind: dc_motor, parameters: {P_m1: 0.004, P_m2: 0.01}}
-  - {place: elbow/motor_friction, kind: stribeck_friction, parameters: {F_drop: 0.001, v_s: 5}}
-  - {place: elbow/link_friction, kind: viscous_friction, parameters: {F_v: 0.02}}
-  - {place: elbow/load, kind: spring_load, parameters: {k_s: 0.5, q_s: 0.2}}
-""",
-    )
-    data = waves(system, [6.0, 0.02], ["u1", "tau2"])
-    exported = to_mjcf(system)
-    assert 'springref="11.4591559"' in exported.text and '<dcmotor name="servo"' in exported.text
-    assert apart(system, data) < 5e-3
-    held = system.with_component("joint1/sensor", MotorEncoder(offset=0.1))
-    assert any(note.startswith("lift/sensor") for note in to_mjcf(held).notes)
 
 
 def test_a_compliant_gear_is_rigid_there_and_replays_all_the_same(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from drives import make_record, make_records, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 from torch import nn
 
 from hybrid_id import __version__
@@ -82,23 +82,6 @@ def test_ends_where_levenberg_marquardt_ends(batch: Batch, trained: list[FitResu
         assert found.n_samples == reference.n_samples and found.iterations < 40
 
 
-def test_results_are_those_of_a_fit(trained: list[FitResult]) -> None:
-    for k, result in enumerate(trained):
-        assert result.records == (f"run_{k}",)
-        assert result.ok and 0.5 < result.noise_scale < 1.5
-        assert np.all(np.diff(result.history) <= 1e-6 * result.history[0])
-        assert "converged" in result.summary()
-        for name, value in zip(result.names, result.values, strict=True):
-            assert result.system.parameter(name).spec.value == value
-
-
-def test_one_set_over_all_records(batch: Batch) -> None:
-    (found,) = train(START, batch, pooled=True, options=QUICK)
-    (reference,) = fit(START, batch, pooled=True, engine=SMOOTH)
-    assert found.records == ("run_0", "run_1")
-    assert np.abs(in_standard_errors(found, reference)).max() < 0.05
-
-
 def test_priors_count_as_they_do_in_a_fit(batch: Batch) -> None:
     tight = respecified(START, "F_v", 8e-5, prior_mean=8e-5, prior_std=1e-6)
     one = batch.take(torch.tensor([0]))
@@ -126,23 +109,6 @@ def test_robust_loss_takes_the_weight_off_spikes(batch: Batch) -> None:
     (plain,) = train(TRUTH, spiked, options=TrainOptions(windows=()))
     truth = np.array([TRUTH.parameter(n).spec.value for n in robust.names])
     assert np.abs(robust.values / truth - 1).max() < 0.5 * np.abs(plain.values / truth - 1).max()
-
-
-def test_records_of_different_length_and_sample_time_train_side_by_side() -> None:
-    long, short = (
-        make_record(
-            TRUTH, multisine(k, samples=n, rest=10, step=step), seed=k, noise=NOISE, name=f"run_{n}", engine=SMOOTH,
-            step=step,
-        )
-        for k, (n, step) in enumerate(((400, 0.002), (150, 0.003)))
-    )  # fmt: skip
-    together = train(
-        START, make_batch(TRUTH, [long, short], noise_std=NOISE, signal_share=0.0), options=QUICK
-    )
-    for result, record in zip(together, (long, short), strict=True):
-        (alone,) = fit(START, make_batch(TRUTH, [record], noise_std=NOISE, signal_share=0.0), engine=SMOOTH)
-        assert result.n_samples == record.n_samples
-        assert np.abs(in_standard_errors(result, alone)).max() < 0.05
 
 
 # --- stop, resume, fail --------------------------------------------------------------------------------------------

@@ -8,17 +8,14 @@ import pytest
 import torch
 from drives import batch_of, multisine, rigid_drive
 
-from hybrid_id.components import Backlash, Delay, Gravity, Viscous
+from hybrid_id.components import Backlash, Delay, Gravity
 from hybrid_id.errors import InputError
 from hybrid_id.identification.finite_differences import (
-    DAMPINGS,
-    Cost,
     Rollouts,
     finite_difference_fit,
     slopes_at,
 )
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.leave_one_out import PARTS, _parts, leave_one_out
 from hybrid_id.identification.restarts import perturbed_restarts
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.rollout import rollout
@@ -73,35 +70,6 @@ def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
     assert finite_difference_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
 
 
-def test_slopes_that_are_known_are_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From all records' slopes one record alone is fitted by steps alone, to a small part of a standard error."""
-    batch = measured(rigid_drive(), DRY)
-    all_of_them = finite_difference_fit(rigid_drive(), batch, engine=DRY, iterations=20)
-    slopes = slopes_at(all_of_them.system, batch, DRY, all_of_them.x0)
-    one, start = batch.take(torch.tensor([1])), all_of_them.system
-    settings = {"engine": DRY, "iterations": 8, "x0": all_of_them.x0[1:]}
-    anew = finite_difference_fit(start, one, **settings)
-    lanes, run = [], Rollouts.residuals
-    monkeypatch.setattr(Rollouts, "residuals", lambda *a: lanes.append(len(a[1])) or run(*a))
-    again = finite_difference_fit(start, one, near=slopes.of_rows(np.array([1])), tangents=False, **settings)
-    assert set(lanes[1:]) == {len(DAMPINGS)}
-    flat = anew.jacobian[0].reshape(-1, len(anew.names))
-    std = np.sqrt(np.diag(np.linalg.inv(flat.T @ flat)))
-    assert (np.abs(again.values - anew.values) < 0.1 * std).all()
-
-
-def test_a_fit_that_gains_little_beyond_noise_ends() -> None:
-    truth = rigid_drive().with_component("joint1/load", Gravity(G_l=0.3, q_0=Bounded(0.8, -6.0, 6.0, "rad")))
-    for system, sooner in ((truth, True), (rigid_drive(), False)):
-        batch = measured(system, DRY)
-        start = rigid_drive().with_values({"F_c": 0.02})
-        long, short = (
-            finite_difference_fit(start, batch, engine=DRY, iterations=40, least_gain=g) for g in (0.0, 0.05)
-        )
-        assert (short.iterations < long.iterations) == sooner
-        assert short.cost <= 1.2 * long.cost
-
-
 def test_a_look_begins_at_the_first_states_of_its_neighbour() -> None:
     plain = rigid_drive()
     batch = measured(plain, DRY)
@@ -114,21 +82,6 @@ def test_a_look_begins_at_the_first_states_of_its_neighbour() -> None:
     # one row of them, too
     some = near.of_rows(np.array([1]))
     np.testing.assert_allclose([some.x0[name][0] for name in plain.state_names], shifted[1])
-
-
-def test_a_look_that_comes_to_nothing_ends() -> None:
-    weight = Gravity(G_l=0.02, q_0=Bounded(0.8, -6.0, 6.0, "rad"))
-    for missing, steps in ((False, (1, 2)), (True, (5,))):
-        truth = rigid_drive()
-        if missing:
-            truth = truth.with_component("joint1/load", Gravity(G_l=0.1, q_0=Bounded(0.8, -6.0, 6.0, "rad")))
-        batch = measured(truth, DRY)
-        today = finite_difference_fit(rigid_drive(), batch, engine=DRY, iterations=10)
-        near = replace(slopes_at(today.system, batch, DRY), least=today.cost)
-        start = today.system.with_component("joint1/load", weight)
-        look = finite_difference_fit(start, batch, engine=DRY, iterations=5, near=near)
-        assert look.iterations in steps
-        assert (look.cost < 0.5 * today.cost) == missing
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.01, 0.01), (0.01, 0.010001), (0.0, 0.0)])
@@ -167,32 +120,6 @@ def test_nothing_to_estimate_is_told() -> None:
         finite_difference_fit(held, batch, engine=QUICK)
 
 
-def test_a_part_left_out_is_predicted_as_by_a_fit_to_the_others() -> None:
-    # without dry friction, whose events make a cost of steps
-    truth = rigid_drive(Viscous(F_v=5e-5))
-    inputs = {"u1": np.stack([multisine(k, samples=900, rest=20) for k in range(3)])}
-    batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
-    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
-    noise = NOISE * torch.randn(run.shape, generator=torch.Generator().manual_seed(1), dtype=run.dtype)
-    run[2] *= 1.05  # another machine: what the others predict of it differs from what it says itself
-    batch = replace(batch, y=run + noise, weight=torch.full_like(run, 1.0 / NOISE))
-    whole = finite_difference_fit(truth, batch, engine=DRY)
-    seen = sum(float(np.square(r).sum()) for r in whole.residual)
-    found, refitted = leave_one_out(whole, batch, 4), []
-    free = [i for i, info in enumerate(truth.table) if info.spec.estimate]
-    parts = _parts(batch)
-    for i in range(min(PARTS, batch.rows)):
-        mine = torch.tensor(parts == i)[..., None]
-        others = replace(batch, weight=batch.weight * ~mine)
-        alone = finite_difference_fit(whole.system, others, engine=DRY)
-        run = Rollouts(truth, batch, DRY, free).residuals(alone.values[None], whole.x0[None])[0]
-        refitted.append(float(np.square(run[parts == i]).sum()))
-    told = sum(float(np.square(r).sum()) for r in found)
-    assert told > 1.2 * seen
-    # steps with the slopes of the whole fit: a screen, not a fit
-    assert told == pytest.approx(sum(refitted), rel=0.3)
-
-
 def test_priors_hold_what_the_records_do_not_tell() -> None:
     system = rigid_drive()
     name = next(info.name for info in system.table if info.spec.estimate)
@@ -203,23 +130,6 @@ def test_priors_hold_what_the_records_do_not_tell() -> None:
     batch = replace(batch, weight=torch.full_like(batch.y, 1.0 / NOISE))
     found = finite_difference_fit(held, batch, engine=DRY, iterations=5)
     assert found.system.parameter(name).spec.value == pytest.approx(spec.value, rel=0.01)
-
-
-def test_what_is_held_stays_held_without_a_part() -> None:
-    truth = rigid_drive(Viscous(F_v=5e-5))
-    inputs = {"u1": np.stack([multisine(k, samples=400, rest=20) for k in range(3)])}
-    batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
-    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
-    run[2] *= 1.2  # another machine
-    batch = replace(batch, y=run, weight=torch.full_like(run, 1.0 / NOISE))
-    specs = {i.name: i.spec for i in truth.table if i.spec.estimate}
-    tight = {n: replace(s, prior_mean=s.value, prior_std=1e-8 * s.value) for n, s in specs.items()}
-    errors = [
-        sum(float(np.square(r).sum()) for r in one)
-        for whole in (finite_difference_fit(truth.with_specs(tight), batch, engine=DRY),)
-        for one in (whole.residual, leave_one_out(whole, batch, 4))
-    ]
-    assert errors[1] == pytest.approx(errors[0], rel=1e-6)
 
 
 def test_perturbed_restarts_never_ends_higher_and_says_the_same_again() -> None:
@@ -273,38 +183,3 @@ def test_sensitivities_are_those_of_a_fit_whose_first_states_follow() -> None:
         own = np.sqrt(sum(np.square(j[..., k]).sum() for j in again.jacobian))
         assert own == pytest.approx(size, rel=0.05), name
         assert own < np.sqrt(sum(np.square(j[..., k]).sum() for j in held.jacobian))
-
-
-def test_first_states_follow_the_parameters() -> None:
-    """Row by row: a parameter moves all rows, a first state its own, and a prior is one measurement more."""
-    system, rng = rigid_drive(), np.random.default_rng(0)
-    batch = measured(system, DRY)
-    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
-    n_f, rows = cost.n_f, batch.rows
-    slopes = rng.standard_normal((rows, n_f + len(cost.states), 40))
-    along, follow = cost.eliminated(slopes)
-    step = rng.standard_normal(n_f)
-    shift = (follow @ step).reshape(len(cost.states), rows)
-    for row in range(rows):
-        starts = np.vstack([slopes[row, n_f:].T, np.diag(1.0 / cost.std[:, row])])
-        by_values = np.vstack([slopes[row, :n_f].T, np.zeros((len(cost.states), n_f))])
-        least = np.linalg.lstsq(starts, -by_values @ step, rcond=None)[0]
-        np.testing.assert_allclose(shift[:, row], least, atol=1e-10)
-        np.testing.assert_allclose(step @ along[row], (by_values @ step + starts @ least)[:40], atol=1e-10)
-
-
-def test_a_step_is_that_of_all_rows_together() -> None:
-    system, rng = rigid_drive(), np.random.default_rng(2)
-    batch = measured(system, DRY)
-    cost = Cost(system, replace(batch, x0_std=torch.full_like(batch.x0_std, 0.5)), DRY)
-    point, rows = cost.point(cost.start, cost.measured), batch.rows
-    slopes = 1e-3 * rng.standard_normal((rows, cost.n_f + len(cost.states), 400))
-    residual = 1e-9 * rng.standard_normal((rows, 400))
-    whole = np.zeros((rows * 400, len(point)))
-    for row, place in enumerate(cost.places):
-        whole[400 * row : 400 * (row + 1), place] = slopes[row].T
-    hessian = whole.T @ whole + np.diag(cost.precision)
-    gradient = whole.T @ residual.ravel() + cost.precision * (point - cost.mean)
-    damped = hessian + 0.1 * np.diag(np.diag(hessian))
-    taken = cost.steps(point, residual, slopes, np.array([0.1]))[0] - point
-    np.testing.assert_allclose(taken, -np.linalg.solve(damped, gradient), rtol=1e-6, atol=1e-15)

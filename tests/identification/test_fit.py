@@ -2,13 +2,10 @@
 
 import shutil
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-import yaml
 from drives import make_record, make_records, multisine, only, rigid_drive
 from gapcase import small_case
 from scipy.optimize import least_squares
@@ -19,15 +16,11 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit, fit_records, make_bounds, start_points
 from hybrid_id.identification.least_squares import (
     PATIENCE,
-    LeastSquares,
     Options,
     comes_to_nothing,
-    minimise,
 )
 from hybrid_id.identification.objective import Loss
-from hybrid_id.identification.result import sensitivities
 from hybrid_id.parameters import Bounded
-from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
@@ -36,7 +29,6 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems import System
-from hybrid_id.systems.model_file import load_model
 
 NOISE = {"q_m1": 0.02}
 
@@ -157,17 +149,6 @@ def test_start_points_stay_inside_and_begin_with_the_given_one() -> None:
     torch.testing.assert_close(alone, points[:, 1::2])
 
 
-def test_order_of_the_free_parameters_does_not_matter(batch: Batch) -> None:
-    free = [k for k, i in enumerate(TRUTH.table) if i.spec.estimate]
-    theta = (TRUTH.theta().detach() * 1.1)[:, None]
-    sets = torch.zeros(batch.rows, dtype=torch.long)
-    ends = [
-        minimise(LeastSquares(TRUTH, Engine(), batch, sets, order, make_bounds(TRUTH, order)), theta).theta
-        for order in (free, free[::-1])
-    ]
-    torch.testing.assert_close(ends[0], ends[1], rtol=1e-5, atol=0)
-
-
 @pytest.mark.parametrize("loss", [Loss("huber", 2.0), Loss("l1", 0.5)], ids=lambda loss: loss.kind)
 def test_standard_errors_of_robust_losses_are_the_scatter_of_estimates(loss: Loss) -> None:
     """Errors five times as large as the weights say: taken from the re-weighting they were half of it."""
@@ -201,14 +182,6 @@ def test_robust_losses_resist_outliers(loss: Loss) -> None:
         assert found.status == "converged"
         error[name] = max(abs(v / EXACT[n] - 1) for n, v in zip(found.names, found.values, strict=True))
     assert error[loss.kind] < 0.4 * error["l2"] and error[loss.kind] < 0.01, error
-
-
-def test_perfect_records_are_fitted_to_the_end() -> None:
-    ideal = make_record(TRUTH, multisine(0, samples=800), seed=0, noise={}, engine=Engine())
-    one = make_batch(TRUTH, [ideal], noise_std={"q_m1": 1e-3}, signal_share=0.0)
-    (found,) = fit(TRUTH.with_values({"J": 2.4e-5, "F_c": 0.013, "F_v": 4e-5}), one)
-    assert found.status == "converged", found.status
-    np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=1e-4)
 
 
 def test_a_fit_goes_on_from_the_first_states_of_an_earlier_one(batch: Batch) -> None:
@@ -328,26 +301,6 @@ def test_jacobian_of_the_result_is_that_of_the_simulation(batch: Batch) -> None:
         assert np.abs((slope - slope.mean()) - (flat - flat.mean())).max() < 0.02 * np.abs(slope).max()
 
 
-@pytest.mark.parametrize("case", ["c008", "c022"])
-def test_right_model_looks_right_on_the_development_cases(case: str, shared: Path) -> None:
-    folder = shared / "gapcases" / "dev" / case
-    if not folder.is_dir():
-        pytest.skip("needs the development cases beside the project")
-    data, model = Dataset.load(folder), load_model(folder / "model.yaml")
-    oracle = yaml.safe_load((folder.parent / "answers" / f"{case}.yaml").read_text())["oracle"]
-    noise = {channel.name: channel.noise_std for channel in data.outputs}
-    (found,) = fit(model, make_batch(model, data.train, noise_std=noise), pooled=True)
-    assert found.status == "converged"
-    test = make_batch(found.system, data.test, noise_std=noise)
-    free_run = simulate(found.system, found.engine, test)
-    share = []
-    for row, r in enumerate(data.test):
-        for column, name in enumerate(test.outputs):
-            y, simulated = r.outputs[name], free_run.y[row, : r.n_samples, column].numpy()
-            share.append(np.sqrt(np.mean((simulated - y) ** 2)) / np.std(y))
-    assert np.mean(share) <= 1.10 * oracle["refit"], (np.mean(share), oracle)
-
-
 def test_record_without_motion_tells_nothing_and_says_so() -> None:
     time = 0.002 * np.arange(400)
     noise = 0.02 * np.random.default_rng(0).standard_normal(400)
@@ -380,32 +333,6 @@ def test_end_is_that_of_an_independent_optimiser() -> None:
     )
     assert found.cost == pytest.approx(best.cost, rel=1e-7)
     np.testing.assert_allclose(found.values / scale, best.x, rtol=1e-4)
-
-
-def test_smooth_engine_recovers_what_it_made() -> None:
-    smooth = Engine("smooth", substeps=6, width=0.5)
-    runs = make_records(TRUTH, [multisine(k, samples=600) for k in range(2)], noise=NOISE, engine=smooth)
-    batch = make_batch(TRUTH, runs, noise_std=NOISE, signal_share=0.0)
-    (found,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True, engine=smooth)
-    assert found.status == "converged" and found.engine == smooth
-    np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=0.01)
-    (dry,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True)
-    assert dry.cost > found.cost
-
-
-def test_a_start_state_that_no_measurement_sees_takes_up_nothing() -> None:
-    residual = torch.randn(1, 6, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    jacobian = torch.randn(1, 6, 1, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    jacobian[..., 1] = 0.0  # two start states, the second of which is not seen, and a parameter
-    flat = jacobian[0, :, 0]
-    at = SimpleNamespace(
-        x=torch.zeros(1, 6, 2), residual=residual, jacobian=jacobian, hessian=(flat.T @ flat)[None]
-    )
-    batch = SimpleNamespace(weight=torch.ones(1, 6, 1))
-    found, _ = sensitivities(at, torch.tensor([0]), torch.tensor([0]), batch, Options())  # type: ignore[arg-type]
-    seen, own = flat[:, :1], flat[:, 2:]
-    expected = own - seen @ torch.linalg.lstsq(seen, own).solution
-    torch.testing.assert_close(torch.tensor(found[0][:, 0]), expected)
 
 
 def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:

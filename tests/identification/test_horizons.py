@@ -17,7 +17,6 @@ from hybrid_id.identification.horizons import (
     Horizon,
     choose_horizon,
     free_runs,
-    window_errors,
     windows,
 )
 from hybrid_id.records.dataset import Channel, Dataset
@@ -153,12 +152,6 @@ def test_study_uses_its_horizon_throughout(drifted: list[Record]) -> None:
     assert np.isfinite(study.engine_error)
 
 
-def test_study_chooses_by_itself(drifted: list[Record]) -> None:
-    study = identify(dataset_of(drifted), START, engine=ENGINE, pooled=True)
-    assert study.horizon.kind != "whole"
-    assert "horizon: free runs" in study.summary()
-
-
 def test_models_are_compared_over_one_horizon(drifted: list[Record]) -> None:
     dataset, models = dataset_of(drifted), {"start": START, "truth": TRUTH}
     long, short = (
@@ -169,12 +162,6 @@ def test_models_are_compared_over_one_horizon(drifted: list[Record]) -> None:
     run = short.replays["truth"][0].outputs["q_m1"]
     assert len(run) == 2500
     assert compare(dataset, models, engine=ENGINE).horizon.kind != "whole"
-
-
-def test_window_errors_of_a_sound_model_are_noise(sound: list[Record]) -> None:
-    batch = make_batch(TRUTH, sound, noise_std={"q_m1": 0.01}, signal_share=0.0)
-    errors = np.concatenate(window_errors(TRUTH, ENGINE, batch, 0.25))
-    assert float(np.sqrt(np.square(errors).mean())) == pytest.approx(1.0, abs=0.1)
 
 
 def test_no_window_errs_more_than_from_its_measured_state(sound: list[Record]) -> None:

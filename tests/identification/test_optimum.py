@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from drives import make_record, multisine, rigid_drive
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.restarts import confirmed
@@ -43,13 +41,6 @@ def test_bias_and_friction_that_start_at_zero_are_found(batch: Batch, start: Sys
     (found,) = fit(start, batch, engine=ENGINE, pooled=True, warm=False)
     assert found.ok
     check_bias(dict(zip(found.names, found.values, strict=True)))
-
-
-@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
-def test_finite_steps_find_them_too(batch: Batch, start: System) -> None:
-    found = finite_difference_fit(start, batch, engine=Engine(substeps=4, compiled=True))
-    check_bias(dict(zip(found.names, found.values, strict=True)))
-    assert np.isfinite(found.cost)
 
 
 @pytest.fixture(scope="module")

@@ -7,21 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from drives import STEP, flexible_drive, make_record, make_records, measure, multisine, only, rigid_drive
+from drives import flexible_drive, make_record, make_records, multisine, only, rigid_drive
 from scipy import stats
 
 from hybrid_id.components import (
-    AsymmetricStribeck,
     Component,
     Dahl,
-    LinkEncoder,
     LoadDependent,
     LuGre,
     MotorEncoder,
-    PositionLoop,
     Stribeck,
-    TorqueCommand,
-    TorqueMotor,
 )
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.result import FitResult
@@ -117,34 +112,12 @@ def test_rigid_drive_pooled_is_sharper() -> None:
     np.testing.assert_allclose(parts, information(pooled) / np.outer(pooled.values, pooled.values), rtol=0.2)
 
 
-def test_asymmetric_stribeck_with_its_motor_known() -> None:
-    table = dict(
-        f_11=0.010, f_12=0.030, f_13=10.5, f_14=53.0, f_21=0.012, f_22=0.031, f_23=11.3, f_24=58.0, f_3=5e-5
-    )
-    free = ("J", *table)
-    truth = only(rigid_drive(AsymmetricStribeck(**table)), *free)
-    voltages = [multisine(k, samples=2500, amplitude=a) for k, a in enumerate((2.5, 4.0, 8.0, 3.0))]
-    runs = make_records(truth, voltages, noise=NOISE)
-    (found,) = fit(away(truth, 1.4), make_batch(truth, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert found.status == "converged"
-    z = scores([found], truth)
-    assert np.abs(z).max() < 3.5, dict(zip(found.names, z[0], strict=True))
-
-
 @pytest.mark.parametrize("outputs", [("q_m1",), ("q_m1", "q_a1")], ids=["motor", "both sides"])
 def test_flexible_drive(outputs: tuple[str, ...]) -> None:
     # reversals excite the spring; with the motor's encoder alone it is told through its reaction
     runs = records(FLEXIBLE, range(5), outputs, samples=800, amplitude=10.0)
     results = fit(away(FLEXIBLE, 1.2), make_batch(FLEXIBLE, runs, noise_std=NOISE, signal_share=0.0))
     assert_recovered(results, FLEXIBLE)
-
-
-def test_link_encoder_tells_the_link_better() -> None:
-    found = []
-    for outputs in (("q_m1",), ("q_m1", "q_a1")):
-        runs = records(FLEXIBLE, [0, 1], outputs, amplitude=10.0)
-        found += fit(FLEXIBLE, make_batch(FLEXIBLE, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert (np.diag(covariance(found[1])) < np.diag(covariance(found[0]))).all()
 
 
 def test_voltage_and_angle_leave_two_directions_open_and_current_or_torque_closes_one() -> None:
@@ -167,22 +140,6 @@ def test_voltage_and_angle_leave_two_directions_open_and_current_or_torque_close
     assert found["P_m2"] + found["F_v"] / found["P_m1"] == pytest.approx(0.0254 + 5e-5 / 0.019, rel=0.01)
 
 
-def test_what_records_cannot_tell_stays_where_it_was() -> None:
-    system = only(rigid_drive(), "J", "P_m1", "F_c", "F_v", "rotor_share")
-    (found,) = fit(
-        away(system, 1.1), make_batch(system, records(system, [0]), noise_std=NOISE, signal_share=0.0)
-    )
-    j = found.jacobian[0].reshape(-1, len(found.names))
-    assert (j[:, found.names.index("rotor_share")] == 0).all(), "a rigid gear does not tell the rotor's share"
-    assert found.unseen == ("rotor_share",) and "not seen by these records" in found.summary()
-    start = away(system, 1.1).parameter("rotor_share").spec.value
-    assert found.values[found.names.index("rotor_share")] == pytest.approx(start)
-    assert rank(
-        information(found)[:-1, :-1] if found.names[-1] == "rotor_share" else information(found)
-    ) < len(found.names)
-    assert found.status == "converged"
-
-
 def test_priors_close_the_open_directions() -> None:
     system = rigid_drive()
     prior = {n: 0.02 * system.parameter(n).spec.value for n in ("P_m1", "P_m2")}
@@ -201,23 +158,6 @@ def test_priors_close_the_open_directions() -> None:
     at = results[0].names.index("P_m1")
     assert spread[at] == pytest.approx(prior["P_m1"], rel=0.05), "the records add nothing to the scale"
     assert results[0].values[at] == pytest.approx(0.019, rel=0.02), "the prior's mean holds it, not the start"
-
-
-def test_prior_and_data_are_weighed() -> None:
-    truth, wrong = RIGID, 1.5 * 2e-5
-    runs = records(truth, [0])
-    batch = make_batch(truth, runs, noise_std=NOISE, signal_share=0.0)
-    (plain,) = fit(truth, batch)
-    index = plain.names.index("J")
-    sigma = np.sqrt(covariance(plain)[index, index])
-    found = {}
-    for std in (1e-3 * sigma, 1e3 * sigma):
-        spec = replace(truth.parameter("J").spec, prior_mean=wrong, prior_std=float(std))
-        (result,) = fit(truth.with_specs({"J": spec}), batch)
-        found[std] = result.values[index]
-    narrow, wide = found.values()
-    assert narrow == pytest.approx(wrong, rel=1e-3)
-    assert wide == pytest.approx(plain.values[index], rel=1e-3)
 
 
 def test_start_in_motion_is_estimated() -> None:
@@ -242,15 +182,6 @@ def test_encoder_offset_is_told_by_gravity() -> None:
     assert_recovered(fit(start, make_batch(start, runs, noise_std=NOISE, signal_share=0.0)), truth)
 
 
-def test_link_offset_alone() -> None:
-    truth = only(FLEXIBLE.with_component("joint1/sensor", LinkEncoder(offset=0.1)), "J_m", "J_a", "F_cm")
-    batch = make_batch(
-        truth, records(truth, range(3), ("q_a1",), amplitude=10.0), noise_std=NOISE, signal_share=0.0
-    )
-    results = fit(away(truth, 1.2), batch)
-    assert np.abs(scores(results, truth)).max() < 4.0
-
-
 @pytest.mark.parametrize("output", ["v_m1", "q_a1"])
 def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     noise = {"v_m1": 0.5, "q_a1": 1e-4}
@@ -260,63 +191,6 @@ def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     ]
     results = fit(away(RIGID), make_batch(RIGID, runs, noise_std=noise, signal_share=0.0))
     assert_recovered(results, RIGID)
-
-
-def test_records_of_different_length_and_sample_time_pool() -> None:
-    generator = np.random.default_rng(0)
-    runs = []
-    for k, (samples, step) in enumerate(((701, 0.002), (400, 0.005), (997, 0.001))):
-        voltage = multisine(k, samples=samples, step=step, rest=round(0.1 / step))
-        runs.append(make_record(RIGID, voltage, seed=k, noise=NOISE, step=step, name=f"r{k}"))
-    steps = 0.002 * generator.uniform(0.6, 1.4, 599)  # jittered stamps, used as they are
-    voltage = multisine(9, samples=600)
-    y = measure(RIGID, {"u1": voltage}, step=steps, engine=Engine(substeps=4))["q_m1"]
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    runs.append(
-        Record("jittered", time, {"u1": voltage}, {"q_m1": y + 0.02 * generator.standard_normal(600)})
-    )
-    (found,) = fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
-    assert_recovered([found], RIGID)
-    assert found.n_samples == 701 + 400 + 997 + 600
-
-
-def bench(channels: dict[str, np.ndarray | float], system: System, seed: int, noise: float = 0.02) -> Record:
-    """A record of a system under any channels."""
-    samples = max(np.size(c) for c in channels.values())
-    y = measure(system, channels, engine=Engine(substeps=4))["q_m1"]
-    noisy = y + noise * np.random.default_rng(seed).standard_normal(samples)
-    inputs = {name: np.broadcast_to(c, samples) for name, c in channels.items()}
-    return Record(f"r{seed}", STEP * np.arange(samples), inputs, {"q_m1": noisy})
-
-
-def test_commanded_torque_tells_absolute_values() -> None:
-    truth = rigid_drive().with_component("joint1/motor", TorqueMotor())
-    truth = only(truth.with_component("joint1/input", TorqueCommand()), "J", "F_c", "F_v")
-    runs = [bench({"tau1": 0.0025 * multisine(k, samples=800)}, truth, k) for k in range(4)]
-    results = fit(away(truth), make_batch(truth, runs, noise_std=NOISE, signal_share=0.0))
-    assert_recovered(results, truth)
-    assert rank(information(results[0])) == 3
-
-
-def test_motor_that_is_switched_off_now_and_then() -> None:
-    enable = (np.arange(800) % 300 < 200).astype(float)
-    runs = [bench({"u1": multisine(k, samples=800), "enable1": enable}, RIGID, k) for k in range(4)]
-    assert_recovered(fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0)), RIGID)
-
-
-def test_servo_in_its_position_loop() -> None:
-    truth = rigid_drive(ratio=1.0).with_component("joint1/input", PositionLoop(duty_per_rad=0.003))
-    truth = only(truth.with_values({"J": 2e-4, "F_c": 0.02}), "J", "F_c", "P_m2")
-    time = STEP * np.arange(1000)
-    runs = [
-        bench(
-            {"goal1": np.sin(2 * np.pi * (0.5 + 0.5 * k) * time + k) * (time > 0.1), "gain1": 400.0, "supply1": 12.0},
-            truth, k, 1e-3,
-        )
-        for k in range(4)
-    ]  # fmt: skip
-    results = fit(away(truth), make_batch(truth, runs, noise_std={"q_m1": 1e-3}, signal_share=0.0))
-    assert_recovered(results, truth)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import torch
 
 from hybrid_id.components import Viscous
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -116,16 +116,3 @@ def test_pieces_of_a_record_are_one_record_to_its_covariance(dataset: Dataset) -
     assert len(one.residual) == part.rows > len(residual) == len(jacobian) == 2
     np.testing.assert_array_equal(np.concatenate(residual), np.concatenate(one.residual))
     np.testing.assert_array_equal(np.concatenate(jacobian), np.concatenate(one.jacobian))
-
-
-def test_only_hidden_states_are_simulated(dataset: Dataset) -> None:
-    batch = make_batch(TRUTH, list(dataset.records), noise_std={"q_m1": NOISE})
-    assert PIECES.simulates(TRUTH, batch) and not WHOLE.simulates(TRUTH, batch)
-    seen = Record(
-        "seen",
-        dataset.records[0].time,
-        dataset.records[0].inputs,
-        {"q_m1": dataset.records[0].outputs["q_m1"], "q_a1": dataset.records[0].outputs["q_m1"] / 50.0},
-    )
-    both = make_batch(TRUTH, [seen], noise_std={"q_m1": NOISE, "q_a1": NOISE})
-    assert not PIECES.simulates(TRUTH, both)

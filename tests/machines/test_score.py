@@ -51,41 +51,80 @@ NONE = sheet("none", level="none")
 OUTSIDE = sheet("unknown", truth("unknown"))
 
 
-def test_right_name_at_right_place() -> None:
-    gap = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [0.85, 0.97]}
-    one = judge("c1", STRIBECK, said(effect("stribeck_friction", p=0.9, selected=True), gap=gap))
-    assert one.top_1 and one.top_3 and one.place and one.top_1_at_place and one.whole
-    assert one.said == one.effect == "stribeck_friction" and one.claims == ((0.9, True),)
-    assert one.shrink_error == pytest.approx(5.0) and one.covered and one.closed == pytest.approx(0.9)
-    assert (one.system, one.records, one.engine, one.level) == ("one_link", 6, "in_house", "strong")
-    assert one.false_unknown is False and one.false_alarm is None and one.outside is None and one.pair is None
+GAP = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [0.85, 0.97]}
+RIGHT = effect("stribeck_friction", p=0.9, selected=True)
+BROKEN = {"run": {"message": "ValueError: no", "method": "bic"}}
+RIVAL = truth("stribeck_friction", also=("tight_spot",)) | {
+    "accept_where": [FRICTION, "joint2/motor_friction"],
+    "right": [f"stribeck_friction@{FRICTION}", "tight_spot@joint2/motor_friction"],
+}
+EITHER = truth("delay", also=("cogging",)), truth("backlash", also=("cogging",))
+HIT = dict.fromkeys(("top_1", "place", "top_1_at_place", "whole"), True)
+NOTHING = dict.fromkeys(HIT, False)
+MISS = {"whole": False, "top_1_at_place": False}
+OPEN = {"closed": None, "shrink_error": None, "covered": None}
 
 
-def test_a_case_that_broke_and_an_interval_without_ends_say_nothing_of_the_gap() -> None:
-    gap = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [None, 1.0]}
-    one = judge("c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap))
-    assert one.covered is None and one.shrink_error == pytest.approx(5.0)
-    broke = judge("c1", STRIBECK, {"run": {"message": "ValueError: no"}})
-    assert broke.closed is None and broke.whole is False
+@pytest.mark.parametrize(
+    ("answer", "told", "expected"),
+    [
+        (STRIBECK, said(RIGHT, gap=GAP),
+         HIT | {"top_3": True, "said": "stribeck_friction", "effect": "stribeck_friction", "claims": ((0.9, True),),
+                "shrink_error": pytest.approx(5.0), "covered": True, "closed": pytest.approx(0.9), "system": "one_link",
+                "records": 6, "engine": "in_house", "level": "strong", "false_unknown": False, "false_alarm": None,
+                "outside": None, "pair": None}),
+        # an interval without ends
+        (STRIBECK, said(RIGHT, gap=GAP | {"shrink_interval": [None, 1.0]}),
+         {"covered": None, "shrink_error": pytest.approx(5.0)}),
+        # errors on other test records than the answers', and those of all joints of an arm, are not compared
+        (STRIBECK, said(RIGHT, gap=GAP) | {"opened": "rec_06"}, OPEN | {"whole": True}),
+        (STRIBECK | {"arm": {"joints": 2}}, said(RIGHT, gap=GAP), OPEN | {"whole": True}),
+        # the equivalent of a tie counts as the effect, another joint does not
+        (STRIBECK, said(effect("presliding_friction", "joint1/link_friction", 0.6, True)),
+         HIT | {"said": "stribeck_friction"}),
+        (STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)),
+         MISS | {"top_1": True, "place": False}),
+        # a wrong name keeps its place and its rank
+        (STRIBECK, said(effect("coulomb_friction", p=0.8, selected=True), effect("delay", "joint1/input"), RIGHT),
+         MISS | {"top_3": True, "place": True, "top_1": False, "said": "coulomb_friction", "closed": 0.0,
+                 "shrink_error": None}),
+        # a rival's name is right at the rival's place only
+        (sheet("single", RIVAL), said(effect("stribeck_friction", "joint2/motor_friction", selected=True)),
+         {"whole": False}),
+        (sheet("single", RIVAL), said(effect("tight_spot", "joint2/motor_friction", selected=True)), {"whole": True}),
+        # a pair is matched as well as it can be
+        (sheet("pair", *EITHER), said(effect("cogging", selected=True), effect("delay", selected=True)),
+         {"pair": (2, 2, 2)}),
+        # nothing at work
+        (NONE, said(effect("delay", p=0.1)),
+         {"false_alarm": False, "whole": True, "said": "none", "closed": None, "claims": ((0.1, False),)}),
+        (NONE, said(effect("delay", selected=True)), {"false_alarm": True, "whole": False}),
+        (NONE, said(unknown=True), {"false_alarm": True, "whole": False, "false_unknown": True}),
+        # outside the catalogue
+        (OUTSIDE, said(effect("delay", p=0.3), unknown=True),
+         {"outside": True, "whole": True, "said": "unknown", "false_unknown": None, "outside_at": None}),
+        (OUTSIDE, said(effect("delay", selected=True)), {"outside": False, "whole": False, "said": "delay"}),
+        # what broke has nothing right
+        (STRIBECK, None, NOTHING | {"said": "broken", "broken": "not run", "closed": None}),
+        (STRIBECK, BROKEN, NOTHING | {"said": "broken", "broken": "ValueError: no", "claims": ()}),
+        (NONE, BROKEN, {"false_alarm": None, "whole": False}),
+    ],
+)  # fmt: skip
+def test_answers_are_judged(
+    answer: dict[str, Any], told: dict[str, Any] | None, expected: dict[str, Any]
+) -> None:
+    judged = judge("c1", answer, told)
+    assert {name: getattr(judged, name) for name in expected} == expected
 
 
-def test_equivalent_of_a_tie_counts_as_the_effect() -> None:
-    one = judge("c1", STRIBECK, said(effect("presliding_friction", "joint1/link_friction", 0.6, True)))
-    assert one.top_1_at_place and one.whole and one.said == "stribeck_friction"
-    wrong = judge("c1", STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)))
-    assert wrong.top_1 and not (wrong.place or wrong.top_1_at_place or wrong.whole)
-
-
-def test_wrong_name_keeps_its_place_and_its_rank() -> None:
-    guesses = [
-        effect("coulomb_friction", p=0.8, selected=True),
-        effect("delay", "joint1/input"),
-        effect("stribeck_friction"),
-    ]
-    one = judge("c1", STRIBECK, said(*guesses))
-    assert one.top_3 and one.place and not (one.top_1 or one.top_1_at_place or one.whole)
-    assert one.said == "coulomb_friction" and one.claims[0] == (0.8, False)
-    assert one.closed == 0.0 and one.shrink_error is None
+@pytest.mark.parametrize(
+    ("joint", "side", "right"),
+    [("joint1", None, True), ("joint1", "motor", True), ("joint1", "load", False), ("joint2", None, False)],
+)
+def test_what_is_outside_the_catalogue_is_located(joint: str, side: str | None, right: bool) -> None:
+    answer = sheet("unknown", truth("unknown") | {"accept_where": ["joint1/motor"]})
+    told = said(unknown=True) | {"unknown_location": {"joint": joint, "side": side}}
+    assert judge("c1", answer, told).outside_at is right
 
 
 @pytest.mark.parametrize(
@@ -118,72 +157,6 @@ def test_pair_by_the_f1_of_its_set(names: list[str], hits: int, f1: float) -> No
     one = judge("c1", PAIR, said(*(effect(n, where.get(n, FRICTION), selected=True) for n in names)))
     assert one.pair == (hits, len(names), 2) and one.f1 == pytest.approx(f1)
     assert one.whole == (f1 == 1.0) and one.top_1 is None and one.effect == "stribeck_friction+delay"
-
-
-def test_a_rivals_name_is_right_at_the_rivals_place_only() -> None:
-    both = truth("stribeck_friction", also=("tight_spot",))
-    both |= {"accept_where": [FRICTION, "joint2/motor_friction"]}
-    both["right"] = [f"stribeck_friction@{FRICTION}", "tight_spot@joint2/motor_friction"]
-    crossed = said(effect("stribeck_friction", "joint2/motor_friction", selected=True))
-    assert not judge("c1", sheet("single", both), crossed).whole
-    assert judge(
-        "c1", sheet("single", both), said(effect("tight_spot", "joint2/motor_friction", selected=True))
-    ).whole
-
-
-def test_a_pair_is_matched_as_well_as_it_can_be() -> None:
-    first, second = truth("delay", also=("cogging",)), truth("backlash", also=("cogging",))
-    named = said(effect("cogging", selected=True), effect("delay", selected=True))
-    assert judge("c1", sheet("pair", first, second), named).pair == (2, 2, 2)
-
-
-def test_errors_on_other_test_records_than_the_answers_are_not_compared() -> None:
-    gap = {"refit": 0.03, "with_effect": 0.03, "shrink": 0.0, "shrink_interval": [0.0, 1.0]}
-    found = judge(
-        "c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap) | {"opened": "rec_06"}
-    )
-    assert (found.closed, found.shrink_error, found.covered) == (None, None, None) and found.whole
-    # an arm's answers hold each joint by itself, a diagnosis simulates all
-    arm = STRIBECK | {"arm": {"joints": 2}}
-    named = said(effect("stribeck_friction", selected=True), gap=gap)
-    found = judge("c1", arm, named)
-    assert (found.closed, found.shrink_error, found.covered) == (None, None, None) and found.whole
-    assert judge("c1", STRIBECK, named).shrink_error is not None
-
-
-def test_nothing_at_work() -> None:
-    quiet = judge("c1", NONE, said(effect("delay", p=0.1)))
-    assert quiet.false_alarm is False and quiet.whole and quiet.said == "none" and quiet.closed is None
-    assert quiet.claims == ((0.1, False),)
-    for loud in (said(effect("delay", selected=True)), said(unknown=True)):
-        assert judge("c1", NONE, loud).false_alarm and not judge("c1", NONE, loud).whole
-    assert judge("c1", NONE, said(unknown=True)).false_unknown
-
-
-def test_outside_the_catalogue() -> None:
-    seen = judge("c1", OUTSIDE, said(effect("delay", p=0.3), unknown=True))
-    assert seen.outside and seen.whole and seen.said == "unknown" and seen.false_unknown is None
-    missed = judge("c1", OUTSIDE, said(effect("delay", selected=True)))
-    assert seen.outside_at is None
-    for told, right in (
-        ({"joint": "joint1", "side": None}, True), ({"joint": "joint1", "side": "motor"}, True),
-        ({"joint": "joint1", "side": "load"}, False), ({"joint": "joint2", "side": None}, False),
-    ):  # fmt: skip
-        sheet_of = sheet("unknown", truth("unknown") | {"accept_where": ["joint1/motor"]})
-        one = judge("c1", sheet_of, said(unknown=True) | {"unknown_location": told})
-        assert one.outside_at is right
-    assert missed.outside is False and not missed.whole and missed.said == "delay"
-
-
-@pytest.mark.parametrize(
-    "broken", [None, {"case": "c1", "run": {"message": "ValueError: no", "method": "bic"}}]
-)
-def test_broken_case_has_nothing_right(broken: dict[str, Any] | None) -> None:
-    one = judge("c1", STRIBECK, broken)
-    assert one.top_1 is False and one.place is False and not one.whole and one.said == "broken" and one.broken
-    assert one.closed is None and one.claims == ()
-    quiet = judge("c1", NONE, broken)
-    assert quiet.false_alarm is None and not quiet.whole
 
 
 def cases() -> list[Judged]:

@@ -5,15 +5,12 @@
 import numpy as np
 import pytest
 from machines.scipy_reference import integrate_scipy
-from paper.twins import LEVELS, config, mechanism, rigid, sines
-from scipy.integrate import quad, solve_ivp
+from paper.twins import config, mechanism, rigid, sines
+from scipy.integrate import solve_ivp
 
-from hybrid_id.machines.physics.friction import AsymmetricStribeck, Coulomb
+from hybrid_id.machines.physics.friction import AsymmetricStribeck
 from hybrid_id.machines.physics.stick_slip import StickSlip, integrate
-from hybrid_id.machines.physics.transmission import BacklashFlexibility
 
-J, P_M1, P_M2, F_C, F_3 = 2e-5, 0.02, 0.025, 0.01, 5e-5
-COULOMB = Coulomb(F_C)
 DRY = AsymmetricStribeck(0.010, 0.030, 10.541, 53.005, 0.010, 0.031, 11.313, 58.093)
 LINK_1 = {"J": 1.97e-5, "P_m1": 19.249e-3, "P_m2": 0.025, "f_3": 5.04e-5}
 TIME = 0.002 * np.arange(300)
@@ -27,51 +24,6 @@ def with_torques(voltages: np.ndarray) -> np.ndarray:
     """Inputs (T, n_inputs) of one run without random torques."""
     voltages = voltages.reshape(len(voltages), -1)
     return np.hstack((voltages, np.zeros_like(voltages)))
-
-
-def run(drive: StickSlip, voltage: np.ndarray, q_0: float = 0.0, v_0: float = 0.0):
-    """Angle and speed of one run of a rigid drive."""
-    time, inputs = 0.002 * np.arange(len(voltage)), with_torques(voltage)[:, :, None]
-    states = integrate(drive, np.array([[q_0], [v_0]]), inputs, time)
-    return states[:, 0, 0], states[:, 1, 0]
-
-
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_coulomb_coast_down_is_a_parabola_that_ends(direction: float) -> None:
-    q, v = run(rigid(COULOMB, J=J, P_m1=P_M1, P_m2=0.0), np.zeros(100), v_0=direction * 50.0)
-    t = np.minimum(0.002 * np.arange(100), 50.0 * J / F_C)  # stops here, between two samples
-    np.testing.assert_allclose(v, direction * (50.0 - F_C / J * t), atol=1e-11)
-    np.testing.assert_allclose(q, direction * (50.0 * t - F_C / J * t**2 / 2), atol=1e-11)
-    assert v[-1] == 0.0
-
-
-def test_step_response_with_viscous_friction_is_exponential() -> None:
-    _, v = run(rigid(COULOMB, J=J, P_m1=P_M1, P_m2=P_M2, f_3=F_3), np.full(300, 6.0))
-    damping = P_M1 * P_M2 + F_3
-    steady = (P_M1 * 6.0 - F_C) / damping
-    np.testing.assert_allclose(v, steady * (1 - np.exp(-damping / J * TIME)), atol=1e-8)
-
-
-def test_each_side_breaks_away_at_its_own_level_at_rest() -> None:
-    dry = AsymmetricStribeck(0.010, 0.030, 10.0, 50.0, 0.010, 0.035, 10.0, 50.0)
-    drive = rigid(dry, J=J, P_m1=P_M1, P_m2=P_M2, f_3=F_3)
-    rest = np.exp(-((10.0 / 50.0) ** 2))  # eq. (15) at zero speed lies under its peak
-    for side, level in ((1.0, 0.010 + 0.020 * rest), (-1.0, 0.010 + 0.025 * rest)):
-        q, v = run(drive, np.full(50, side * level / P_M1 * 0.9999))
-        assert not q.any() and not v.any()
-        assert side * run(drive, np.full(50, side * level / P_M1 * 1.0001))[1][-1] > 0
-
-
-def test_pendulum_keeps_its_energy_but_for_the_work_of_friction_and_then_sticks() -> None:
-    r, G_l = 50.0, 3.0
-    free = rigid(J=J, P_m1=0.0, P_m2=0.0, G_l=G_l, r=r)
-    q, v = run(free, np.zeros(1000), q_0=1.5 * r)
-    assert np.ptp(0.5 * J * v**2 - G_l * np.cos(q / r)) < 1e-9 * G_l and np.ptp(q) > 2.9 * r
-    q, v = run(rigid(COULOMB, J=J, P_m1=0.0, P_m2=0.0, G_l=G_l, r=r), np.zeros(1000), q_0=1.2 * r)
-    assert not v[-100:].any()
-    assert abs(G_l / r * np.sin(q[-1] / r)) < F_C
-    lost = G_l * (np.cos(q[-1] / r) - np.cos(1.2))
-    np.testing.assert_allclose(lost, F_C * np.abs(np.diff(q)).sum(), rtol=2e-3)  # path length by samples
 
 
 def excitation(n_samples: int, runs: int) -> tuple[np.ndarray, np.ndarray]:
@@ -174,34 +126,6 @@ def test_smoothed_friction_converges_to_the_set_valued(stage: str, voltages, rat
     dry = integrate(machine, start, with_torques(voltages)[:, :, None], time, substeps=4)[:, :, 0]
     for row in (0, 2):
         assert np.abs(smooth[row] - dry[:, row]).max() < 2e-3 * np.ptp(dry[:, row])
-
-
-def test_spring_without_friction_and_motor_keeps_its_energy() -> None:
-    drive, _ = mechanism("link1_flexible", P_m1=0.0, f_a1=0.0, f_a2=0.0, **dict.fromkeys(LEVELS, 0.0))
-    start = np.array([[0.0], [60.0], [0.05], [-1.0]])
-    states = integrate(drive, start, np.zeros((200, 2, 1)), TIME[:200], substeps=10)[:, :, 0]
-    q_m, v_m, q_a, v_a = states[::20].T
-    kinetic = 0.5 * FLEXIBLE["J_m"] * v_m**2 + 0.5 * FLEXIBLE["J_a"] * v_a**2
-    spring = drive.drives[0].spring
-    assert isinstance(spring, BacklashFlexibility)
-    torque = spring.torque
-    stored = [quad(lambda d: torque(d).item(), 0, end)[0] for end in q_m / R_1 - q_a]
-    assert np.ptp(kinetic) > 0.1 * kinetic.max(), "the spring takes part"
-    assert np.ptp(kinetic + stored) < 1e-6 * kinetic.max()
-
-
-def test_arm_without_friction_and_motors_keeps_energy_and_momentum() -> None:
-    none = {name + motor: 0.0 for name in (*LEVELS, "P_m1") for motor in ("m1", "m2")}
-    machine, _ = mechanism("both_links", **none)
-    start = np.array([[0.0], [0.8 * R_1], [0.4 * R_2], [-6.0 * R_2]])
-    x = integrate(machine, start, np.zeros((500, 4, 1)), 0.002 * np.arange(500), substeps=4)[:, :, 0]
-    matrices = mass(np.cos(x[:, 2] / R_2))
-    v = np.array([x[:, 1] / R_1, x[:, 3] / R_2])
-    energy = 0.5 * np.einsum("it,ijt,jt->t", v, matrices, v)
-    momentum = matrices[0, 0] * v[0] + matrices[0, 1] * v[1]
-    assert np.ptp(v[0]) > 0.5, "the joints exchange momentum"
-    assert np.ptp(energy) < 1e-8 * energy[0]
-    assert np.ptp(momentum) < 1e-8
 
 
 def test_sticking_of_both_joints_is_the_solution_of_the_box_problem() -> None:

@@ -50,15 +50,6 @@ def test_noise_and_step_of_a_quantised_signal() -> None:
     assert quantisation_step(np.ones(10)) == 0.0
 
 
-def test_noise_of_the_gap_cases(shared) -> None:
-    """The makers of these records state their encoders' noise."""
-    for folder in sorted((shared / "gapcases" / "dev").glob("c*"))[::6]:
-        data = Dataset.load(folder)
-        for channel in data.outputs:
-            estimates = [estimate_noise(rec.outputs[channel.name]) for rec in data]
-            assert np.median(estimates) == pytest.approx(channel.noise_std, rel=0.05)
-
-
 def test_the_samples_before_the_first_motion_are_at_rest() -> None:
     assert rest_samples(record(noise=0.01)) == 50
 

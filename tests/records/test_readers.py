@@ -140,16 +140,6 @@ def test_real_bam_logs(shared) -> None:
     assert np.corrcoef(law, record.inputs["duty1"])[0, 1] > 0.999
 
 
-def test_real_csv_with_blanks_in_its_header(shared, tmp_path) -> None:
-    (tmp_path / "qube.yaml").write_text(
-        "name: qube\ninputs: [{name: u1, unit: V}]\noutputs: [{name: q_m1, unit: rad}]\n"
-        "columns: {u1: plant_input, q_m1: theta}\nrecords: [{file: 'qube*.csv.gz'}]\n"
-    )
-    data = Dataset.load(tmp_path / "qube.yaml", folder=shared / "data" / "qube_servo_furuta")
-    assert (len(data), data.sample_time) == (8, 0.002)
-    assert np.abs(data.records[0].inputs["u1"]).max() == 10.0
-
-
 def test_every_gap_case_loads_and_starts_at_rest(shared) -> None:
     folders = sorted((shared / "gapcases" / "dev").glob("c*"))
     assert folders

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import torch
 from drives import batch_of, flexible_drive, make_records, multisine, rigid_drive, stored
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
 from hybrid_id.components import (
@@ -179,44 +177,6 @@ def test_compiled_steps_with_smooth_friction_equal_eager_ones(name: str) -> None
         chain, fast = condense_reference(expected, x), condense(lin, x)
         scale = chain.abs().amax((0, 1)).clamp_min(1e-9)
         torch.testing.assert_close(fast / scale, chain / scale, rtol=1e-8, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["stribeck", "flexible", "springs", "arm"])
-def test_sensitivities_of_nodes_exactly_at_rest(name: str) -> None:
-    # speeds of zero that are pushed off and come back within the sample, where the eager engine averages both sides
-    system, generator = SYSTEMS[name], torch.Generator().manual_seed(3)
-    joints, n_x = len(system.joints), len(system.state_names)
-
-    def random(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-    batch = batch_of(system, {f"u{n + 1}": 6.0 * random(2, 400).numpy() for n in range(joints)}, rows=2)
-    x = random(2, 400, n_x)
-    for joint in system.joints:
-        rotor = joint.positions[0]
-        x[..., rotor + 1] *= 3.0
-        if not joint.rigid:
-            x[..., joint.positions[1]] = x[..., rotor] / joint.gear_ratio + 3e-3 * random(2, 400)
-    speeds = x[..., system.speed_rows]
-    x[..., system.speed_rows] = torch.where(random(*speeds.shape) > 0.3, speeds, 0.0 * speeds)
-    arguments = (x, batch.u, 4 * batch.dt, stored(system, 2), list(range(len(system.table))), batch.outputs)
-    found = linearise(system, Engine(compiled=True), *arguments)
-    expected = linearise(system, Engine(), *arguments)
-    for one in ("x_next", "a", "b"):
-        assert_same(getattr(found, one), getattr(expected, one))
-
-
-@given(
-    factors=st.lists(st.floats(0.2, 5.0), min_size=16, max_size=16),
-    start=st.tuples(st.floats(-40.0, 40.0), st.floats(-0.3, 0.3)),
-)
-@settings(max_examples=10, deadline=None)
-def test_any_parameters_of_a_compliant_drive(factors: list[float], start: tuple[float, float]) -> None:
-    system = SYSTEMS["flexible"]
-    theta = stored(system, 3) * torch.tensor(factors[: len(system.table)], dtype=torch.float64)[:, None]
-    batch = batch_of(system, signals(1, 50), rows=3, start={"v_m1": start[0], "v_a1": start[1]})
-    whole = rollout(system, Engine(substeps=2), batch, theta)
-    assert_same(rollout(system, Engine(substeps=2, compiled=True), batch, theta), whole)
 
 
 def test_one_code_serves_all_machines_of_a_structure() -> None:

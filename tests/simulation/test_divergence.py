@@ -1,21 +1,16 @@
 """A simulation that is lost says which record, when, which state, and why."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 from drives import batch_of, flexible_drive, make_record, multisine, rigid_drive
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import WHOLE
-from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study import compare, identify
+from hybrid_id.study import compare
 from hybrid_id.systems import System, two_link
 
 
@@ -55,13 +50,3 @@ def test_compare_says_which_record_is_lost(dataset: Dataset) -> None:
     wrong = flexible_drive().with_values({"k": 1e9})
     with pytest.raises(InputError, match="wrong: record 'run'"):
         compare(dataset, {"wrong": wrong}, horizon=WHOLE)
-
-
-def test_identify_says_why_every_fit_diverged(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    sound = fit(rigid_drive(), make_batch(rigid_drive(), dataset.records), options=Options(max_iterations=1))
-    monkeypatch.setattr(
-        "hybrid_id.study.run.fit_records", lambda *_, **__: [replace(sound[0], status="diverged")]
-    )
-    monkeypatch.setattr("hybrid_id.study.run.cause_of_divergence", lambda *_: "record 'run' is lost")
-    with pytest.raises(InputError, match=r"diverged; check .* \(record 'run' is lost\)"):
-        identify(dataset, rigid_drive(), horizon=WHOLE)

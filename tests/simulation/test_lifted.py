@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre
-from hybrid_id.simulation import lifted
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import (
     Linearisation,
     condense_compiled,
     condense_reference,
-    forced,
     linearise,
     shoot,
 )
@@ -139,18 +137,6 @@ def test_a_held_joint_forgets_its_speed_and_friction_level() -> None:
     assert lin.c[0, 0].tolist() == [[1.0, 0.0]] and (lin.d == 0).all()
 
 
-def test_blocks_of_lanes_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    system = SYSTEMS["flexible"]
-    batch = batch_of(system, {"u1": np.stack([multisine(k, samples=40, rest=2) for k in range(3)])}, rows=3)
-    theta = stored(system, 3) * torch.tensor([0.9, 1.0, 1.1])
-    batch = replace(batch, x=rollout(system, Engine(), batch, theta))
-    whole = linearise(system, Engine(), batch.x, batch.u, batch.dt, theta, [0, 3], batch.outputs)
-    monkeypatch.setattr("hybrid_id.simulation.lifted.LANES", 17)
-    parts = linearise(system, Engine(), batch.x, batch.u, batch.dt, theta, [0, 3], batch.outputs)
-    for name, value in vars(whole).items():
-        torch.testing.assert_close(getattr(parts, name), value, rtol=1e-12, atol=1e-14)
-
-
 @given(
     rows=st.integers(1, 3),
     samples=st.integers(1, 23),
@@ -188,31 +174,6 @@ def test_condensing_equals_the_explicit_recursion(
             current = a[:, k] @ current
             current[:, :, n_x:-1] += b[:, k]
             current[:, :, -1] += lin.x_next[:, k] - x[:, k + 1]
-
-
-@given(
-    rows=st.integers(1, 3),
-    samples=st.integers(1, 9),
-    n_x=st.integers(1, 4),
-    n_y=st.integers(1, 3),
-    n_w=st.integers(1, 5),
-)
-@settings(max_examples=40)
-def test_forced_outputs_equal_the_explicit_recursion(
-    rows: int, samples: int, n_x: int, n_y: int, n_w: int
-) -> None:
-    g = torch.Generator().manual_seed(samples)
-    shapes = (n_y, n_x), (n_x, n_x), (n_x,), (n_w,)
-    through, a, b, inputs = (
-        torch.randn(rows, samples, *shape, generator=g, dtype=torch.float64) for shape in shapes
-    )
-    found, state = forced(through, a, b, inputs), torch.zeros(rows, n_x, n_w, dtype=torch.float64)
-    for k in range(samples):
-        torch.testing.assert_close(found[:, k], through[:, k] @ state, rtol=1e-10, atol=1e-10)
-        state = a[:, k] @ state + b[:, k, :, None] * inputs[:, k, None]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lifted, "_condensing", lambda: None)
-        torch.testing.assert_close(forced(through, a, b, inputs), found, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("length", [1, 7, 16, 50, 64])

@@ -43,15 +43,6 @@ def test_lifted_simulation_equals_the_loop(name: str, seed: int, smooth: bool) -
     assert_same(system, Engine("smooth", 20) if smooth else Engine(), batch, theta)
 
 
-def test_guess_does_not_matter() -> None:
-    system, generator = SYSTEMS["rigid"], torch.Generator().manual_seed(1)
-    batch = batch_of(system, {"u1": multisine(4, samples=300)[None]})
-    wild = batch.x + 100.0 * torch.randn(batch.x.shape, generator=generator, dtype=torch.float64)
-    wild[:, 0] = batch.x[:, 0]
-    a, b = (simulate(system, Engine(), replace(batch, x=x)) for x in (batch.x, wild))
-    torch.testing.assert_close(a.x, b.x, rtol=0, atol=1e-9 * a.x.abs().max().item())
-
-
 @pytest.mark.parametrize("samples", [2, 3, 16, 17, 31, 33])
 def test_any_length_and_one_row(samples: int) -> None:
     system = SYSTEMS["flexible"]

@@ -116,13 +116,6 @@ def test_order_of_fixed_methods(method: str, order: int) -> None:
     assert abs(slope - order) < 0.25, largest
 
 
-def test_three_eighths_rule_and_classical_rule_end_at_one_result() -> None:
-    u = {"u1": multisine(0, samples=100, rest=5)}
-    classical = measure(PAPER, u, engine=Engine("smooth", 64))["q_m1"]
-    found = measure(PAPER, u, engine=OdeEngine(fine=64, gradient="backprop"))["q_m1"]
-    np.testing.assert_allclose(found, classical, atol=2e-5 * np.ptp(classical))
-
-
 def test_fine_steps_near_rest_do_the_work_of_fine_steps_everywhere() -> None:
     u = {"u1": multisine(1, samples=40, rest=2)}
 
@@ -269,8 +262,3 @@ def test_gradients_reach_weights_beyond_the_table() -> None:
 def test_impossible_settings_are_refused_by_name(settings: dict) -> None:
     with pytest.raises(InputError, match=f"(?i){next(iter(settings))}"):
         OdeEngine(**{"rtol" if name == "tolerances" else name: value for name, value in settings.items()})
-
-
-def test_half_a_step_is_half_of_every_step() -> None:
-    assert (OdeEngine(substeps=2, fine=8).halved().substeps, OdeEngine(fine=8).halved().fine) == (4, 16)
-    assert OdeEngine(method="dopri5", rtol=1e-5).halved().rtol == pytest.approx(1e-6)

@@ -83,16 +83,6 @@ def test_a_rate_that_is_no_number_takes_the_most() -> None:
     assert with_substeps(system, Engine(), batch, theta).substeps == MAX_SUBSTEPS
 
 
-def test_bristles_take_finer_steps_than_their_rate_alone() -> None:
-    system = rigid_drive(Coulomb(F_c=0.01)).with_component(FRICTION, Dahl(sigma=0.5))
-    found = rate(system, Engine())
-    assert (
-        chosen(system, Engine())
-        == math.ceil(STEP * found / LIMIT["memory"])
-        > math.ceil(STEP * found / LIMIT["dry"])
-    )
-
-
 def test_hidden_states_of_a_network_share_their_cell() -> None:
     system = rigid_drive().with_component("joint1/motor", ResidualNetwork(memory=2))
     assert rate(system, Engine()) == pytest.approx(rate(rigid_drive(), Engine()), rel=1e-6)

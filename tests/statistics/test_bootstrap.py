@@ -45,16 +45,6 @@ def test_record_blocks_see_parameters_that_differ_from_record_to_record(rng):
     assert records > 2 * samples
 
 
-def test_prior_holds_what_the_blocks_do_not_tell(rng):
-    jacobian = np.column_stack([rng.standard_normal(300), np.zeros(300)])
-    residual = rng.standard_normal(300)
-    alone = block_bootstrap(jacobian, residual, block=1)
-    assert np.isinf(alone[1]) and np.isfinite(alone[0])
-    held = block_bootstrap(jacobian, residual, block=1, prior_precision=np.array([0, 4.0]), replicates=4000)
-    assert held[1] == pytest.approx(0.5, rel=0.1)
-    assert held[0] == pytest.approx(alone[0], rel=0.15)
-
-
 def test_blocks_of_white_noise_agree_with_the_plain_covariance_and_a_seed_repeats(regression, least_squares):
     design, noise, _ = regression(n_samples=1500)
     residual = least_squares(design, noise[0])[1]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hybrid_id.errors import InputError
-from hybrid_id.statistics.fleet import Fleet, _Levels, fleet
+from hybrid_id.statistics.fleet import Fleet, fleet
 from hybrid_id.statistics.uncertainty import scaled_inverse
 
 MEAN = np.array([1.0, 2e-5, 0.01, 5.0])
@@ -89,19 +89,6 @@ def test_priors_pull_no_robots_together() -> None:
     assert np.mean(inside) >= 0.8
 
 
-def test_the_likelihoods_derivatives_are_its_differences() -> None:
-    drawn = Drawn(3)
-    information = np.linalg.inv(np.concatenate(drawn.covariances) / np.outer(MEAN, MEAN))
-    levels = _Levels(np.concatenate(drawn.values) / MEAN, information, np.full(20, 4))
-    at = np.log([[0.01, 0.002, 0.05, 1e-4], [4e-4, 1e-4, 0.01, 1e-5]])
-    slopes = np.array(levels.likelihood(*np.exp(at))[1:])
-    for place in np.ndindex(at.shape):
-        step = np.zeros_like(at)
-        step[place] = 1e-5
-        ends = [levels.likelihood(*np.exp(at + side * step))[0] for side in (1, -1)]
-        assert slopes[place] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-5)
-
-
 def test_a_balanced_fleet_of_one_parameter_has_the_closed_form() -> None:
     random = np.random.default_rng(2)
     values = 1.0 + 0.2 * random.standard_normal((30, 1))
@@ -120,13 +107,6 @@ def test_an_odd_robot_is_found_and_leaves_mean_and_spread_alone(robots: int) -> 
         assert found.odd[6, 0]
         assert np.flatnonzero(found.stands_out).tolist() == [6]
         assert found.spread_interval[0, 0] <= SPREAD[0] <= found.spread_interval[0, 1]
-
-
-def test_many_odd_robots_do_not_hide_each_other() -> None:
-    drawn = Drawn(6, robots=40)
-    for i in range(0, 40, 8):
-        drawn.values[i] = drawn.values[i] * np.array([2.5, 1.0, 1.0, 1.0])
-    assert np.flatnonzero(drawn.found().stands_out).tolist() == [0, 8, 16, 24, 32]
 
 
 def test_an_odd_error_of_fit_is_found_and_a_small_one_is_not() -> None:

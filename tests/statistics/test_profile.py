@@ -20,11 +20,6 @@ def test_parabola_gives_the_normal_interval():
     assert np.all(np.diff(profile.values) > 0)
 
 
-def test_noise_variance_widens_it():
-    profile = profile_likelihood(parabola, np.array([2.0, 1.0]), 0, minimum=10, step=0.3, noise_variance=4)
-    assert profile.upper == pytest.approx(2 + 2 * 1.959964 / np.sqrt(3), rel=1e-3)
-
-
 @pytest.mark.parametrize("step", [1e-3, 0.3, 20.0])
 def test_asymmetric_cost_gives_an_asymmetric_interval_from_any_step(step):
     profile = profile_likelihood(

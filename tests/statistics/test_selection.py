@@ -33,11 +33,6 @@ def test_the_papers_rule_rewards_a_uniformly_bad_set():
     assert "would select c" in selection.summary()
 
 
-def test_signals_are_averaged():
-    fits = np.array([[[90, 80], [80, 90]], [[90, 84], [88, 80]]], float)  # (2 sets, 2 records, 2 signals)
-    assert select(matrix(fits)).index == 0
-
-
 def test_a_set_that_diverges_once_is_never_selected():
     selection = select(matrix([[99, 99, -np.inf], [60, 70, 50]]))
     assert selection.index == 1 and selection.paper_index == 1

@@ -9,12 +9,10 @@ from pathlib import Path
 import pytest
 import torch
 from drives import flexible_drive, make_record, make_records, multisine, rigid_drive
-from servo_arm import described
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
 from hybrid_id.identification.hybrid import HybridOptions
-from hybrid_id.identification.keep import digest_of, fingerprint
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
@@ -33,7 +31,7 @@ from hybrid_id.study.ablation import (
 )
 from hybrid_id.systems import System, two_link
 from hybrid_id.systems.builders import black_box
-from hybrid_id.systems.model_file import describe_model, load_model
+from hybrid_id.systems.model_file import describe_model
 
 DRIVE = rigid_drive(ratio=20.0)
 STATIC, ALONE = Arm("static", ("joint1/motor",), 3), Arm(BLACK_BOX, (), 3)
@@ -219,18 +217,6 @@ def test_cells_are_computed_in_processes_and_kept(
         assert len(computed) == 3
     run(replace(others[-1], options=replace(task.options, seed=9)))  # a cell's own takes its place
     assert len(computed) == 1
-
-
-def test_the_key_follows_the_description_of_a_robot(tmp_path: Path) -> None:
-    """A model file names it, and may stay as it is where that is edited."""
-    nominal = described(tmp_path)
-    heavy = tmp_path / "heavy"
-    heavy.mkdir()
-    (heavy / "arm.xml").write_text((tmp_path / "arm.xml").read_text().replace('mass="0.4"', 'mass="0.8"'))
-    (heavy / "model.yaml").write_text((tmp_path / "model.yaml").read_text())
-    edited = load_model(heavy / "model.yaml")
-    assert digest_of(nominal) == digest_of(described(tmp_path)) != digest_of(edited)
-    assert fingerprint(nominal, []) == fingerprint(described(tmp_path), []) != fingerprint(edited, [])
 
 
 def test_physics_of_a_hybrid_cell_is_that_of_physics_only(

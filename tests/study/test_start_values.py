@@ -8,7 +8,6 @@ import pytest
 
 from hybrid_id import Channel, Dataset, InputError, Record, System, load_model, one_link, two_link
 from hybrid_id.components.input.position_loop import PositionLoop
-from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.study import check_scales, check_start_values
 
 TIME = 0.01 * np.arange(100)
@@ -155,16 +154,6 @@ def test_an_angle_far_beside_its_goal_has_another_zero(apart: float, sags: float
     found = check_scales(dataset, one_link(1.0).with_component("joint1/input", PositionLoop()))
     assert [(one.code, one.channel) for one in found] == [(zero.split(" ")[0], "q_a1")] * bool(zero)
     assert all(f"stays {zero.split(' ')[1]}" in one.message for one in found)
-
-
-def test_an_angle_behind_a_gear_is_doubted_by_what_it_is_at_the_joint() -> None:
-    """A loop that sags by a fifth of a turn at its joint is no contradiction, whichever side the encoder is at."""
-    goal = np.sin(9 * TIME)
-    servo = one_link(20.0).with_component("joint1/input", PositionServo())
-    for apart, code in ((0.35, "beside"), (1.6, "zero")):
-        record = Record("a", TIME, {"goal1": goal}, {"q_m1": 20.0 * (0.99 * np.sin(9 * TIME - 0.05) + apart)})
-        dataset = Dataset("a", (Channel("goal1", "rad"),), (Channel("q_m1", "rad", NOISE),), (record,), 0.01)
-        assert [one.code for one in check_scales(dataset, servo)] == [code]
 
 
 def test_an_angle_that_moves_against_its_goal_or_with_anothers_is_named() -> None:

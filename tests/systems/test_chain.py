@@ -2,9 +2,7 @@
 
 # pyright: reportAttributeAccessIssue=false
 
-import copy
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -27,17 +25,12 @@ from hybrid_id.components import (
     TorqueMotor,
     TwoInertias,
     Viscous,
-    Voltage,
 )
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
-from hybrid_id.systems import System, one_link, one_link_flexible
+from hybrid_id.systems import one_link, one_link_flexible
 
 FRICTION = "joint1/motor_friction"
-
-
-def parts(*more) -> list:
-    return [("joint1/input", Voltage()), ("joint1/motor", DCMotor()), ("joint1/transmission", Rigid()), *more]
 
 
 @pytest.mark.parametrize(
@@ -152,32 +145,6 @@ def test_values_and_specs_are_replaced_by_name() -> None:
 def test_prior_must_have_a_width(prior: float) -> None:
     with pytest.raises(InputError, match="prior_std"):
         OneLink(J=Bounded(2e-5, prior_std=prior))
-
-
-def test_systems_travel() -> None:
-    system = rigid_drive().with_component(FRICTION, Stribeck(F_drop=0.003))
-    for twin in (copy.deepcopy(system), pickle.loads(pickle.dumps(system))):
-        assert torch.equal(twin.theta(), system.theta())
-        assert [i.name for i in twin.table] == [i.name for i in system.table]
-    fresh = one_link(156.0).with_component(FRICTION, Stribeck())
-    fresh.load_state_dict(system.state_dict())
-    assert torch.equal(fresh.theta(), system.theta())
-    assert [i.spec.value for i in fresh.table] == [i.spec.value for i in system.table]
-
-
-def test_gradient_reaches_the_torch_parameters() -> None:
-    system = rigid_drive()
-    system.theta().square().sum().backward()
-    assert all(value.grad is not None for value in system.parameters())
-
-
-def test_order_of_construction_does_not_matter_to_the_motion() -> None:
-    forward = System([10.0], parts((FRICTION, Coulomb()), (FRICTION, Viscous()), ("joint1/load", OneLink())))
-    backward = System(
-        [10.0], [("joint1/load", OneLink()), (FRICTION, Viscous()), (FRICTION, Coulomb()), *parts()]
-    )
-    u = 6.0 * np.sin(0.05 * np.arange(100))
-    np.testing.assert_allclose(run(forward, {"u1": u})["q_m1"], run(backward, {"u1": u})["q_m1"], rtol=1e-12)
 
 
 def test_table_has_one_order_however_a_system_was_built() -> None:

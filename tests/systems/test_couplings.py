@@ -143,17 +143,6 @@ def test_a_motor_that_sticks_turns_the_second_joint_against_the_first() -> None:
     assert q_1[-1] > 0.1
 
 
-def test_the_identity_couples_nothing() -> None:
-    command = (STEP * np.arange(200), np.sin(np.arange(200) * STEP * np.array([[9.0], [7.0]])))
-    values = {"F_c_one": 0.01, "F_c_two": 0.02}
-    found = []
-    for tree in (planar(((1.0, 0.0), (0.0, 1.0))), planar().coupled([])):
-        system = robot(tree, (20.0, 10.0)).with_values(values)
-        system = system.with_component("joint1/load", Spring(k_s=2.0))
-        found.append(run(system, Engine("dry", 2), outputs=("q_m1", "q_a2"), command=command).x)
-    torch.testing.assert_close(found[0], found[1], rtol=0, atol=1e-13)
-
-
 def test_what_acts_at_a_link_does_the_work_of_its_torque(tmp_path: Path) -> None:
     """Springs, viscous friction and weight at the links give the motors tau_m = A^T tau, A = d q / d q_m."""
     system = wrist(tmp_path)
@@ -185,28 +174,6 @@ def test_both_engines_agree_where_coupled_motors_stick_and_slip(tmp_path: Path) 
     still = (plain.x[0, :, 1::2] == 0.0).double().mean(0)
     assert ((still > 0.01) & (still < 0.98)).sum() >= 2, "motors stick at times and move at times"
     np.testing.assert_allclose(fast.x.numpy(), plain.x.numpy(), atol=1e-10)
-
-
-def test_gradients_are_those_of_finite_differences(tmp_path: Path) -> None:
-    system = wrist(tmp_path, friction=0.05)
-    system = system.with_component("joint3/motor_friction", LoadDependent(mu=0.05))
-    system = system.with_component("joint2/load", Spring(k_s=1.0, q_s=0.1))
-    x = [torch.tensor([v], dtype=torch.float64) for v in (2.0, 5.0, -4.0, -30.0, 1.0, 7.0)]
-    u = {f"tau{k}": torch.tensor([0.01], dtype=torch.float64) for k in (1, 2, 3)}
-    dt, engine = torch.tensor([STEP], dtype=torch.float64), Engine("dry", 2)
-
-    def sample(theta):
-        return torch.cat(engine.sample(system, x, u, dt, system.views(list(theta[:, None]))))
-
-    theta = system.theta().detach()
-    exact = torch.as_tensor(torch.autograd.functional.jacobian(sample, theta))
-    for k in range(len(theta)):
-        h = 1e-5 * max(float(theta[k].abs()), 1e-6)
-        ahead, back = theta.clone(), theta.clone()
-        ahead[k] += h
-        back[k] -= h
-        slope = (sample(ahead) - sample(back)) / (2 * h)
-        np.testing.assert_allclose(exact[:, k], slope, rtol=1e-5, atol=1e-8 * float(slope.abs().max()) + 1e-9)
 
 
 @pytest.mark.parametrize("side", ["m", "a"])
@@ -337,3 +304,25 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="'couplings' belongs to a robot"):
         load_model(file)
+
+
+def test_gradients_are_those_of_finite_differences(tmp_path: Path) -> None:
+    system = wrist(tmp_path, friction=0.05)
+    system = system.with_component("joint3/motor_friction", LoadDependent(mu=0.05))
+    system = system.with_component("joint2/load", Spring(k_s=1.0, q_s=0.1))
+    x = [torch.tensor([v], dtype=torch.float64) for v in (2.0, 5.0, -4.0, -30.0, 1.0, 7.0)]
+    u = {f"tau{k}": torch.tensor([0.01], dtype=torch.float64) for k in (1, 2, 3)}
+    dt, engine = torch.tensor([STEP], dtype=torch.float64), Engine("dry", 2)
+
+    def sample(theta):
+        return torch.cat(engine.sample(system, x, u, dt, system.views(list(theta[:, None]))))
+
+    theta = system.theta().detach()
+    exact = torch.as_tensor(torch.autograd.functional.jacobian(sample, theta))
+    for k in range(len(theta)):
+        h = 1e-5 * max(float(theta[k].abs()), 1e-6)
+        ahead, back = theta.clone(), theta.clone()
+        ahead[k] += h
+        back[k] -= h
+        slope = (sample(ahead) - sample(back)) / (2 * h)
+        np.testing.assert_allclose(exact[:, k], slope, rtol=1e-5, atol=1e-8 * float(slope.abs().max()) + 1e-9)

@@ -8,17 +8,15 @@ from scipy.integrate import solve_ivp
 
 from hybrid_id.components import (
     AsymmetricFriction,
-    Coulomb,
     EfficiencyLoss,
     KinematicError,
     LoadDependent,
-    PositionDependent,
 )
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems import System, one_link, one_link_flexible
+from hybrid_id.systems import System, one_link
 
 RATIO, J, SHARE = 20.0, 3e-5, 0.4
 FREE = one_link(RATIO).with_values(
@@ -57,14 +55,6 @@ def test_rigid_gear_with_kinematic_error_against_its_lagrangian() -> None:
     np.testing.assert_allclose(found[:, 1], link_angle, atol=1e-4)
 
 
-def test_without_amplitude_the_gear_is_the_ideal_one() -> None:
-    none = KinematicError(E_c=0.0, E_s=0.0)
-    volts = 2.0 * np.sin(np.arange(200) / 20.0)
-    for system in (FREE, one_link_flexible(RATIO)):
-        same = run(system.with_component("joint1/transmission", none), volts)
-        np.testing.assert_allclose(same, run(system, volts), rtol=1e-9, atol=1e-12)
-
-
 def test_a_gear_of_constant_efficiency_passes_on_its_share_of_the_torque() -> None:
     # J a = (1 - mu) tau while the motor drives, (1 + mu) tau while it brakes; at rest mu < 1 holds nothing
     mu, volts = 0.3, 1.5
@@ -77,22 +67,6 @@ def test_a_gear_of_constant_efficiency_passes_on_its_share_of_the_torque() -> No
     speed, braked = (1 - mu) * pull * time[20], time[20:26] - time[20]
     expected = driven[20] + speed * braked - 0.5 * (1 + mu) * pull * braked**2
     np.testing.assert_allclose(both[20:26], expected, rtol=1e-6)
-
-
-def test_friction_over_the_angle_holds_in_one_place_only() -> None:
-    # level 0.02 + 0.02 cos q_link: 0.03 N m of motor torque hold at 0 and move at half a turn
-    dry = FREE.with_component("joint1/motor_friction", Coulomb(F_c=0.02)).with_component(
-        "joint1/motor_friction", PositionDependent(A_c=0.02, A_s=0.0)
-    )
-    moved = []
-    for start in (0.0, np.pi * RATIO):
-        record = Record("run", STEP * np.arange(60), {"u1": np.full(60, 1.5)}, {"q_m1": np.full(60, start)})
-        batch = make_batch(dry, [record], noise_std={"q_m1": 1.0}, estimate_start=False)
-        with torch.no_grad():
-            y = simulate(dry, Engine(), batch).y[0, :, 0].numpy()
-        moved.append(y[-1] - y[0])
-    assert moved[0] == 0.0
-    assert moved[1] > 1.0
 
 
 def test_asymmetric_friction_takes_either_sign() -> None:

@@ -15,7 +15,6 @@ from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.robots.description import load_tree
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.lifted import linearise
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -172,36 +171,6 @@ def test_a_body_whose_mass_its_shapes_give_gets_an_inertial(tmp_path: Path) -> N
     (tmp_path / "arm.xml").write_text(text)
     notes = to_mjcf(load_model(tmp_path / "model.yaml").with_values({"c_m_lift": 1.5})).notes
     assert [n for n in notes if n.startswith("lift/load") and 'inertiafromgeom="true"' in n]
-
-
-def test_both_engines_move_and_differentiate_alike(tmp_path: Path) -> None:
-    if compiler() is None:
-        pytest.skip("there is no C compiler")
-    system = deviating(tmp_path)
-    rng = np.random.default_rng(4)
-    x = torch.tensor(rng.normal(size=(1, 8, 6)))
-    u = {f"tau{j}": torch.tensor(rng.normal(size=(1, 8))) for j in (1, 2, 3)}
-    dt, free = torch.full((1, 8), 0.002, dtype=torch.float64), list(range(len(system.table)))
-    theta = system.theta().detach()[:, None]
-    found = [
-        linearise(system, Engine("dry", 2, compiled=fast), x, u, dt, theta, free, ["q_m1", "q_m2", "q_m3"])
-        for fast in (False, True)
-    ]
-    plain, fast = found
-    np.testing.assert_allclose(fast.x_next, plain.x_next, atol=1e-12)
-    np.testing.assert_allclose(fast.a, plain.a, atol=1e-10)
-    np.testing.assert_allclose(fast.b, plain.b, atol=1e-9 * float(plain.b.abs().max()))
-    names = [system.table[i].symbol for i in free]
-    for name in ("m_l", "x_l", "y_l", "z_l", *DEVIATION):
-        assert float(plain.b[..., names.index(name)].abs().max()) > 1e-9, name
-    for k in (names.index("m_l"), names.index("s_xz")):
-        h = 1e-5
-        ends = []
-        for sign in (1, -1):
-            moved = theta.clone()
-            moved[k] += sign * h
-            ends.append(linearise(system, Engine("dry", 2), x, u, dt, moved, [], ["q_m1"]).x_next)
-        np.testing.assert_allclose(plain.b[..., k], (ends[0] - ends[1]) / (2 * h), rtol=1e-5, atol=1e-8)
 
 
 def records_of(system: System, noise: float) -> Dataset:

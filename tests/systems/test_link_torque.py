@@ -14,7 +14,6 @@ from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.lifted import linearise_outputs
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -147,37 +146,6 @@ def test_a_sensor_with_gain_offset_and_lag_in_both_engines(tmp_path: Path) -> No
     apart = np.abs(fine - (1.1 * np.array(filtered) + 0.05))
     assert np.median(apart) < 0.01 * np.ptp(clean)
     assert apart.max() < 0.05 * np.ptp(clean)  # at reversals torques jump with dry friction
-
-
-def test_gradients_of_the_output(tmp_path: Path) -> None:
-    system = arm(tmp_path, WRIST).with_component("joint3/sensor", TorqueSensor(g=1.2, tau_0=0.1))
-    x = torch.tensor(
-        [[[3.0, 4.0, -20.0, 9.0, 8.0, -30.0], [1.0, -2.0, 4.0, 7.0, 2.0, 5.0]]], dtype=torch.float64
-    )
-    u = {f"tau{k}": torch.full((1, 2), 0.01, dtype=torch.float64) for k in (1, 2, 3)}
-    theta, names = system.theta().detach()[:, None], ("tau_a1", "tau_a2", "tau_a3")
-    free = list(range(len(theta)))
-    exact = linearise_outputs(system, x, u, theta, free, names)
-    for k in free:
-        h = 1e-6 * max(float(theta[k].abs()), 1e-6)
-        ahead, back = theta.clone(), theta.clone()
-        ahead[k] += h
-        back[k] -= h
-        slope = (
-            linearise_outputs(system, x, u, ahead, [], names).y
-            - linearise_outputs(system, x, u, back, [], names).y
-        ) / (2 * h)
-        np.testing.assert_allclose(
-            exact.d[..., k], slope, rtol=1e-5, atol=1e-7 * float(slope.abs().max()) + 1e-9
-        )
-    for k in range(6):
-        step = torch.zeros_like(x)
-        step[..., k] = 1e-5
-        slope = (
-            linearise_outputs(system, x + step, u, theta, [], names).y
-            - linearise_outputs(system, x - step, u, theta, [], names).y
-        ) / 2e-5
-        np.testing.assert_allclose(exact.c[..., k], slope, rtol=1e-6, atol=1e-7)
 
 
 def test_a_measured_torque_gives_voltages_their_scale() -> None:

@@ -3,27 +3,22 @@
 import numpy as np
 import pytest
 import torch
-from drives import STEP, batch_of, flexible_drive, measure, rigid_drive, run, stored
+from drives import STEP, flexible_drive, measure, rigid_drive, run, stored
 
 from hybrid_id.components import (
     Coulomb,
     CurrentCommand,
     CurrentMotor,
-    Dahl,
     DutySupply,
     LoadDependent,
     LoggedLoad,
-    LuGre,
     MotorEncoder,
-    PositionLoop,
-    Stribeck,
     TorqueCommand,
     TorqueMotor,
 )
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible
 
@@ -60,49 +55,6 @@ def test_coulomb_coast_down_is_a_parabola_and_ends_at_rest() -> None:
     assert (x["v_m1"][time > stop] == 0.0).all(), "at rest means at rest"
 
 
-def test_breaks_away_only_above_the_level() -> None:
-    system = coasting(P_m1=0.02)
-    assert (run(system, {"u1": 0.4999}, samples=50)["v_m1"] == 0.0).all()  # 0.02 N m/V * 0.5 V = 0.01 N m
-    assert (run(system, {"u1": -0.4999}, samples=50)["v_m1"] == 0.0).all()
-    x = run(system, {"u1": 0.55}, samples=50)
-    np.testing.assert_allclose(x["v_m1"], (0.02 * 0.55 - 0.01) / 2e-5 * STEP * np.arange(50), rtol=1e-12)
-
-
-def test_breakaway_takes_the_stribeck_level_and_each_side_its_own() -> None:
-    system = coasting(P_m1=0.02).with_component(FRICTION, Stribeck(F_drop=0.01, v_s=5.0))
-    assert (run(system, {"u1": 0.99}, samples=50)["v_m1"] == 0.0).all()
-    assert run(system, {"u1": 1.01}, samples=50)["v_m1"][-1] > 1.0
-
-
-def test_stays_where_friction_holds_the_weight_and_slides_beyond() -> None:
-    system = one_link(100.0, vertical=True).with_values(
-        COASTING | {"J": 2e-5, "F_c": 0.01, "F_v": 1e-5, "G_l": 2.0}
-    )
-    # held while (G_l / r) |sin(q / r)| <= F_c, that is up to 30 degrees
-    held = run(system, {"u1": zeros(200)}, start={"q_m1": 100.0 * np.radians(29.9)})
-    assert (held["v_m1"] == 0.0).all() and np.ptp(held["q_m1"]) == 0.0
-    falls = run(system, {"u1": zeros(800)}, start={"q_m1": 100.0 * np.radians(60.0)})
-    assert falls["v_m1"].min() < -1.0
-    assert falls["v_m1"][-1] == 0.0 and abs(np.sin(falls["q_m1"][-1] / 100)) <= 0.5
-
-
-def test_pendulum_keeps_its_energy_to_the_order_of_the_integrator() -> None:
-    r, g_l, inertia = 10.0, 2.0, 2e-3
-    system = one_link(r, vertical=True).with_values(
-        COASTING | {"J": inertia, "F_c": 0.0, "F_v": 0.0, "G_l": g_l}
-    )
-    drift = []
-    for substeps in (1, 2, 4):
-        x = run(system, {"u1": zeros(200)}, step=0.02, start={"q_m1": 15.0}, engine=Engine(substeps=substeps))
-        energy = 0.5 * inertia * x["v_m1"] ** 2 - g_l * np.cos(x["q_m1"] / r)
-        drift.append(np.abs(energy - energy[0]).max())
-    assert drift[0] / drift[1] > 12 and drift[1] / drift[2] > 12
-    assert drift[2] < 1e-6 * g_l
-    small = run(system, {"u1": zeros(200)}, start={"q_m1": 0.01}, step=0.01)
-    frequency = np.sqrt(g_l / (inertia * r**2))
-    np.testing.assert_allclose(small["q_m1"], 0.01 * np.cos(frequency * 0.01 * np.arange(200)), atol=1e-7)
-
-
 def test_two_masses_swing_at_their_eigenfrequency() -> None:
     r, j_m, j_a, k = 50.0, 2e-5, 0.03, 80.0
     values = {"J_m": j_m, "J_a": j_a, "k": k, "d": 0.0, "F_cm": 0.0, "F_vm": 0.0, "F_va": 0.0}
@@ -117,20 +69,6 @@ def test_two_masses_swing_at_their_eigenfrequency() -> None:
     np.testing.assert_allclose(deflection, 0.01 * np.cos(frequency * STEP * np.arange(500)), atol=2e-6)
     momentum = r * j_m * x["v_m1"] + j_a * x["v_a1"]  # no torque from outside
     np.testing.assert_allclose(momentum, 0.0, atol=1e-10)
-
-
-def test_stiff_spring_moves_as_the_rigid_gear() -> None:
-    r, u = 50.0, 8.0 * np.sin(2 * np.pi * 2 * STEP * np.arange(150))
-    flexible = one_link_flexible(r).with_values(
-        {"J_m": 1e-5, "J_a": 0.02, "k": 4e4, "d": 30.0, "F_cm": 0.01, "F_va": 0.1}
-    )
-    link = {"J": 1e-5 + 0.02 / r**2, "F_c": 0.01, "F_v": 1e-4 + 0.1 / r**2}
-    rigid = one_link(r).with_values(link)
-    batch = batch_of(flexible, {"u1": u})
-    engine = with_substeps(flexible, Engine(), batch, stored(flexible))
-    assert engine.substeps >= 4
-    a, b = run(flexible, {"u1": u}, engine=engine), run(rigid, {"u1": u})
-    assert np.abs(a["q_m1"] - b["q_m1"]).max() < 0.005 * np.ptp(b["q_m1"])
 
 
 def test_link_friction_of_a_rigid_gear_is_seen_through_the_gear() -> None:
@@ -170,19 +108,6 @@ def test_load_dependent_friction_solves_its_loop(share: float) -> None:
                     transmitted = (1 - share) * inertia * a + load
                     a = (0.02 * u - load - np.sign(v) * (f_c + mu * abs(transmitted))) / inertia
                 assert rate.item() == pytest.approx(a, rel=1e-9)
-
-
-def test_load_dependent_friction_holds_the_weight() -> None:
-    system = (
-        one_link(100.0, vertical=True)
-        .with_values(COASTING | {"J": 2e-5, "F_c": 0.004, "F_v": 0.0, "G_l": 1.0})
-        .with_component(FRICTION, LoadDependent(mu=0.7))
-    )
-    # weight at the motor 0.01 N m: held by 0.004 + 0.7 * 0.01, pushed off by a motor torque above that minus the weight
-    start = {"q_m1": 100.0 * np.pi / 2}
-    assert (run(system, {"u1": zeros(50)}, start=start)["v_m1"] == 0.0).all()
-    less = system.with_values({"mu": 0.5})
-    assert run(less, {"u1": zeros(50)}, start=start)["v_m1"][-1] < -0.1
 
 
 def test_motor_that_is_switched_off_is_an_open_circuit() -> None:
@@ -240,37 +165,6 @@ def test_duty_times_supply_equals_its_voltage() -> None:
     np.testing.assert_array_equal(x["q_m1"], run(rigid_drive(), {"u1": duty * supply})["q_m1"])
 
 
-def test_position_loop_settles_where_its_torque_falls_under_friction() -> None:
-    loop = PositionLoop(duty_per_rad=0.0028)
-    system = rigid_drive(ratio=1.0).with_component("joint1/input", loop)
-    y = measure(
-        system,
-        {"goal1": 1.0, "gain1": 400.0, "supply1": 12.0},
-        samples=700,
-        outputs=("q_m1", "v_m1", "tau1"),
-    )
-    assert y["v_m1"][-1] == 0.0
-    assert abs(y["tau1"][-1]) <= 0.01  # held by Coulomb friction
-    error = 1.0 - y["q_m1"][-1]
-    assert y["tau1"][-1] == pytest.approx(0.019 * 0.0028 * 400 * error * 12.0)
-    assert y["tau1"][0] == pytest.approx(0.019 * 12.0)  # the duty is clipped to 1 at the start
-
-
-@pytest.mark.parametrize("law", [Dahl(sigma=5.0), LuGre(sigma_0=5.0, sigma_1=1e-3)])
-def test_bristles_slide_as_coulomb_and_hold_before(law) -> None:
-    dry = coasting(P_m1=0.02, F_v=1e-3)
-    bristle = dry.with_component(FRICTION, law)
-    engine = Engine(substeps=4)
-    a, b = (run(s, {"u1": 3.0}, samples=200, engine=engine)["v_m1"] for s in (dry, bristle))
-    assert b[-1] == pytest.approx(a[-1], rel=1e-6)
-    held = run(bristle, {"u1": 0.4}, samples=400, engine=engine)  # below breakaway
-    force = held["F_m1"] if isinstance(law, Dahl) else 5.0 * held["z_m1"]
-    assert abs(held["v_m1"][-1]) < 1e-4
-    assert force[-1] == pytest.approx(0.02 * 0.4, rel=1e-4)
-    assert held["q_m1"][-1] >= 0.99 * force[-1] / 5.0  # deflected, with what it slid while it swung in
-    assert held["q_m1"][-1] < 0.03
-
-
 def test_logged_load_acts_at_the_link() -> None:
     # a constant torque of 3 N m at the link opposes the motor: 0.03 N m at the rotor behind a gear of 100
     load = LoggedLoad(c_w=1.5)
@@ -290,3 +184,20 @@ def test_a_record_without_the_load_is_refused() -> None:
     record = Record("r", STEP * np.arange(5), {"u1": zeros(5)}, {"q_m1": zeros(5)})
     with pytest.raises(InputError, match="w1"):
         make_batch(system, [record])
+
+
+def test_pendulum_keeps_its_energy_to_the_order_of_the_integrator() -> None:
+    r, g_l, inertia = 10.0, 2.0, 2e-3
+    system = one_link(r, vertical=True).with_values(
+        COASTING | {"J": inertia, "F_c": 0.0, "F_v": 0.0, "G_l": g_l}
+    )
+    drift = []
+    for substeps in (1, 2, 4):
+        x = run(system, {"u1": zeros(200)}, step=0.02, start={"q_m1": 15.0}, engine=Engine(substeps=substeps))
+        energy = 0.5 * inertia * x["v_m1"] ** 2 - g_l * np.cos(x["q_m1"] / r)
+        drift.append(np.abs(energy - energy[0]).max())
+    assert drift[0] / drift[1] > 12 and drift[1] / drift[2] > 12
+    assert drift[2] < 1e-6 * g_l
+    small = run(system, {"u1": zeros(200)}, start={"q_m1": 0.01}, step=0.01)
+    frequency = np.sqrt(g_l / (inertia * r**2))
+    np.testing.assert_allclose(small["q_m1"], 0.01 * np.cos(frequency * 0.01 * np.arange(200)), atol=1e-7)

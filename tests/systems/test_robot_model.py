@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_arm import ARM as SERVO_ARM
 
+from hybrid_id import identify
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -16,23 +18,16 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study import identify
 from hybrid_id.systems.model_file import load_model, save_model
 
 pytest.importorskip("mujoco")
 
-ARM = """<mujoco><compiler angle="radian"/><worldbody>
-<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
-<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
-<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
-<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
-<body pos="0 0 0.2"><joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
-<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/><site name="hand" pos="0 0 0.2"/>
-</body></body></body>
-</worldbody></mujoco>"""
+ARM = re.sub("<actuator>.*</actuator>", "", SERVO_ARM, flags=re.DOTALL)
+ARM = ARM.replace('0.0001"/>', '0.0001"/><site name="hand" pos="0 0 0.2"/>')
+ROBOT = "robot: {file: arm.xml}\n"
 
 
-def written(folder: Path, text: str = "robot: {file: arm.xml}\n") -> Path:
+def written(folder: Path, text: str = ROBOT) -> Path:
     (folder / "arm.xml").write_text(ARM)
     (folder / "model.yaml").write_text(text)
     return folder / "model.yaml"
@@ -182,51 +177,45 @@ components:
         ("system: one_link\nrobot: {file: arm.xml}\ngear_ratio: [1]\n", "do not go together"),
         ("system: robot\ngear_ratio: [1]\n", "name your robot's MJCF"),
         ("robot: {file: none.xml}\n", "none.xml: cannot be read"),
-        ("robot: {file: arm.xml}\ngear_ratio: [1, 2]\n", "a positive number for each of pan, lift, elbow"),
-        ("robot: {file: arm.xml}\ngravity: vertical\n", "'gravity' belongs to the systems"),
-        ("robot: {file: arm.xml}\nparameters: {J: 1.0}\n", "'parameters' belongs to the systems"),
+        ("gear_ratio: [1, 2]\n", "a positive number for each of pan, lift, elbow"),
+        ("gravity: vertical\n", "'gravity' belongs to the systems"),
+        ("parameters: {J: 1.0}\n", "'parameters' belongs to the systems"),
         (
-            "robot: {file: arm.xml}\ncomponents: [{place: hand/motor, kind: dc_motor}]\n",
+            "components: [{place: hand/motor, kind: dc_motor}]\n",
             "'hand/motor' is not known.*use one of pan, lift, elbow with",
         ),
         (
-            "robot: {file: arm.xml}\ncomponents: [{place: elbw/motor, kind: torque_motor}]\n",
+            "components: [{place: elbw/motor, kind: torque_motor}]\n",
             "'elbw/motor' is not known .did you mean 'elbow/motor'",
         ),
+        ("components: [{place: joint1/motor, kind: dc_motor}]\n", "'joint1/motor' is not known"),
         (
-            "robot: {file: arm.xml}\ncomponents: [{place: joint1/motor, kind: dc_motor}]\n",
-            "'joint1/motor' is not known",
-        ),
-        (
-            "robot: {file: arm.xml}\ncomponents: [{place: lift/motor, kind: dc_motor}]\n",
+            "components: [{place: lift/motor, kind: dc_motor}]\n",
             "torque_command at lift/input gives N m, but dc_motor at lift/motor takes V; put duty_supply or ",
         ),
-        ("robot: {file: arm.xml}\ngear_ratio: 5\n", "a list with one number for each joint; write"),
+        ("gear_ratio: 5\n", "a list with one number for each joint; write"),
         ("robot: {file: arm.xml, base: floating}\n", "base"),
-        (
-            "robot: {file: arm.xml}\nservos: {pan: {preset: sts, p: 1}}\n",
-            "servo 'sts' is not known; use one of",
-        ),
-        (
-            "robot: {file: arm.xml}\nservos: {pen: {preset: sts3215, p: 1}}\n",
-            "no joint 'pen' .did you mean 'pan'",
-        ),
+        ("servos: {pan: {preset: sts, p: 1}}\n", "servo 'sts' is not known; use one of"),
+        ("servos: {pen: {preset: sts3215, p: 1}}\n", "no joint 'pen' .did you mean 'pan'"),
         ("robot: {file: arm.xml, hold: {wrist: 0.0}}\n", "no joint 'wrist' to hold"),
         (
-            "robot: {file: arm.xml}\njoints: {pan: {gear_ratio: 345}}\n",
+            "joints: {pan: {gear_ratio: 345}}\n",
             "key 'joints' is unknown; list what .* under 'components' .*, a servo .* under 'servos'",
         ),
-        ("robot: {file: arm.xml}\ninertias: {estimate: [hand]}\n", "under 'components' .*body_inertia"),
-        (
-            "robot: {file: arm.xml}\ncomponents: [{place: elbow/load, kind: floor_contact}]\n",
-            "needs one option, point",
-        ),
+        ("inertias: {estimate: [hand]}\n", "under 'components' .*body_inertia"),
+        ("components: [{place: elbow/load, kind: floor_contact}]\n", "needs one option, point"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as error:
-        load_model(written(tmp_path, text))
+        load_model(written(tmp_path, text if "robot" in text else ROBOT + text))
     assert "\n" not in str(error.value)
+
+
+def test_an_ode_solver_replays_an_arm_by_its_own_steps(tmp_path: Path) -> None:
+    system = load_model(written(tmp_path))
+    assert compiled_for(system, OdeEngine()) == OdeEngine()
+    assert compiled_for(system, Engine("smooth")).compiled == (compiler() is not None)
 
 
 def test_three_drives_are_recovered_from_torques_and_angles(tmp_path: Path) -> None:
@@ -262,9 +251,3 @@ def test_three_drives_are_recovered_from_torques_and_angles(tmp_path: Path) -> N
     for name, value, error in zip(study.names, values, errors, strict=True):
         assert abs(value - truth.parameter(name).spec.value) < 4 * error + 1e-6, name
     assert next(iter(study.test_nrmse.values())) < 0.01
-
-
-def test_an_ode_solver_replays_an_arm_by_its_own_steps(tmp_path: Path) -> None:
-    system = load_model(written(tmp_path))
-    assert compiled_for(system, OdeEngine()) == OdeEngine()
-    assert compiled_for(system, Engine("smooth")).compiled == (compiler() is not None)

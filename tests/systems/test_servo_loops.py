@@ -96,22 +96,6 @@ def test_dead_time_in_the_loop_is_its_pade_approximant() -> None:
     assert np.log2(apart[0] / apart[1]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_dead_time_of_a_proportional_loop_is_nearly_that_of_a_true_delay() -> None:
-    """Against steps of 0.02 ms with a memory: dead time of 6 ms at a loop of 20 rad/s."""
-    delay, fine, goal = 0.006, 2e-5, steps()
-    system = servo().with_values({"k_d": 0.0}).with_component("joint1/input", LoopDelay(T_l=delay))
-    q, v, past, there = 0.0, 0.0, [0.0] * round(delay / fine), []
-    for one in goal:
-        there.append(q)
-        for _ in range(round(STEP / fine)):
-            past.append(q)
-            v += fine * (K_P * (one - past[-1 - round(delay / fine)]) - F_V * v) / J
-            q += fine * v
-    here = run(system, goal, Engine("dry", 8)).y[0, :, 0].numpy()
-    without = run(servo().with_values({"k_d": 0.0}), goal, Engine("dry", 8)).y[0, :, 0].numpy()
-    assert np.abs(here - there).max() < 0.05 * np.abs(without - there).max()
-
-
 def test_a_rate_limit_makes_ramps_of_steps() -> None:
     goal, w_max = steps(), 2.0
     system = servo().with_component("joint1/input", GoalRateLimit(w_max=w_max))
@@ -193,38 +177,6 @@ def test_a_position_loop_of_duty_takes_the_same_stages() -> None:
     assert float(system.joints[0].drive.command(x, u, p)) == pytest.approx(12.0 * duty)
 
 
-def test_gradients_are_those_of_finite_differences() -> None:
-    system = whole()
-    goal = 0.3 * np.sin(np.arange(60) * STEP * 14.0) + 0.1
-    record = Record("r", STEP * np.arange(60), {"goal1": goal}, {"q_m1": 0.0 * goal + 0.05})
-    batch = make_batch(system, [record], noise_std={"q_m1": 1.0})
-    engine, theta = Engine("dry", 2), system.theta().detach()
-
-    def end(values):
-        """States after all samples, of one lane a column of values."""
-        x = [row.expand(values.shape[1]) for row in batch.x[:, 0].unbind(1)]
-        p = system.views(list(values))
-        for k in range(59):
-            u = {n: c[:, k].expand(values.shape[1]) for n, c in batch.u.items()}
-            x = engine.sample(system, x, u, batch.dt[:, k].expand(values.shape[1]), p)
-        return torch.stack(x)
-
-    exact = torch.as_tensor(torch.autograd.functional.jacobian(lambda t: end(t[:, None])[:, 0], theta))
-    names = [info.name for info in system.table]
-    assert float(exact[0].abs()[names.index("w_i")]) > 0
-    h = 1e-6 * theta.abs().clamp_min(1e-3)
-    with torch.no_grad():
-        ahead, back = end(theta[:, None] + torch.diag(h)), end(theta[:, None] - torch.diag(h))
-    slopes = (ahead - back) / (2.0 * h)
-    for k, name in enumerate(names):
-        if name in ("rotor_share", "gain"):
-            continue
-        slope = slopes[:, k]
-        np.testing.assert_allclose(
-            exact[:, k], slope, rtol=1e-4, atol=1e-6 * float(slope.abs().max()) + 1e-8, err_msg=name
-        )
-
-
 def test_an_ode_solver_meets_the_same_loop() -> None:
     system = servo().with_component("joint1/input", ServoIntegral(w_i=4.0, z_max=0.1))
     system = system.with_component("joint1/input", GoalRateLimit(w_max=3.0))
@@ -283,3 +235,35 @@ def test_a_stage_without_a_position_loop_is_refused() -> None:
     ):
         make_batch(system, [Record("r", time, {"tau1": 0 * time}, {"q_m1": 0 * time})])
     assert Coulomb.kind in str(list(system.components))
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    system = whole()
+    goal = 0.3 * np.sin(np.arange(60) * STEP * 14.0) + 0.1
+    record = Record("r", STEP * np.arange(60), {"goal1": goal}, {"q_m1": 0.0 * goal + 0.05})
+    batch = make_batch(system, [record], noise_std={"q_m1": 1.0})
+    engine, theta = Engine("dry", 2), system.theta().detach()
+
+    def end(values):
+        """States after all samples, of one lane a column of values."""
+        x = [row.expand(values.shape[1]) for row in batch.x[:, 0].unbind(1)]
+        p = system.views(list(values))
+        for k in range(59):
+            u = {n: c[:, k].expand(values.shape[1]) for n, c in batch.u.items()}
+            x = engine.sample(system, x, u, batch.dt[:, k].expand(values.shape[1]), p)
+        return torch.stack(x)
+
+    exact = torch.as_tensor(torch.autograd.functional.jacobian(lambda t: end(t[:, None])[:, 0], theta))
+    names = [info.name for info in system.table]
+    assert float(exact[0].abs()[names.index("w_i")]) > 0
+    h = 1e-6 * theta.abs().clamp_min(1e-3)
+    with torch.no_grad():
+        ahead, back = end(theta[:, None] + torch.diag(h)), end(theta[:, None] - torch.diag(h))
+    slopes = (ahead - back) / (2.0 * h)
+    for k, name in enumerate(names):
+        if name in ("rotor_share", "gain"):
+            continue
+        slope = slopes[:, k]
+        np.testing.assert_allclose(
+            exact[:, k], slope, rtol=1e-4, atol=1e-6 * float(slope.abs().max()) + 1e-8, err_msg=name
+        )

@@ -24,12 +24,6 @@ def test_shared_values_go_on_and_held_ones_stay() -> None:
     assert system.parameter("k").spec == FLEXIBLE.parameter("k").spec
 
 
-def test_held_parameter_loses_its_prior() -> None:
-    told = FLEXIBLE.with_specs({"P_m1": Bounded(0.019, 1e-3, 1.0, "N m/V", True, 0.019, 1e-3)})
-    assert carry_over(told, RIGID, ["P_m1"]).parameter("P_m1").spec.prior_std is None
-    assert carry_over(told, RIGID).parameter("P_m1").spec.prior_std == 1e-3
-
-
 def test_what_cannot_be_held_is_named() -> None:
     with pytest.raises(InputError, match="earlier stage's model has no parameter 'k' to hold"):
         carry_over(FLEXIBLE, RIGID, ["k"])
