@@ -6,6 +6,8 @@ exit code 2 from a command) whose one sentence holds every string of `case.names
 
 import gzip
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -236,3 +238,26 @@ def malformed_datasets() -> list[Malformed]:
          other_file("a.json", bam_without_position(), columns=bam)),
     ]  # fmt: skip
     return [Malformed(*row) for row in rows]
+
+
+AFRESH = """
+import sys
+from pathlib import Path
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.readers import load_any, table
+table.MOST_MEMORY = 50_000_000
+path, *wanted = sys.argv[1:]
+try:
+    load_any(Path(path), wanted) if wanted else Dataset.load(path)
+except InputError as error:
+    print(error)
+"""
+
+
+def read_afresh(path: Path, *wanted: str) -> str:
+    """What a new process with little memory says of a file or dataset; one that has freed much would find room."""
+    done = subprocess.run(
+        [sys.executable, "-c", AFRESH, path, *wanted], capture_output=True, text=True, check=True
+    )
+    return done.stdout

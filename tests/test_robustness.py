@@ -2,7 +2,6 @@
 
 import gzip
 import os
-import resource
 import struct
 import zlib
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import torch
 from fuzz import TARGETS, Files, bounds, examples, read_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from malformed import read_afresh
 
 from hybrid_id.cli import folder as folders
 from hybrid_id.cli.folder import live_folder
@@ -24,7 +24,6 @@ from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import read_checkpoint
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.readers import table
 
 HEAD = "name: a\ninputs: [{name: u1, unit: V}]\noutputs: [{name: q_m1, unit: rad}]\n"
 MANY = int(os.environ.get("FUZZ", "0"))
@@ -114,18 +113,12 @@ def parquet_bomb(file: Path) -> None:
         ("b.parquet", parquet_bomb),
     ],
 )
-def test_bombs_get_no_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, make: Callable[[Path], None]
-) -> None:
+def test_bombs_get_no_memory(tmp_path: Path, name: str, make: Callable[[Path], None]) -> None:
     make(tmp_path / name)
     (tmp_path / "dataset.yaml").write_text(f"{HEAD}records: [{{file: {name}}}]\n")
-    monkeypatch.setattr(table, "MOST_MEMORY", 50_000_000)
-    before = resource.getrlimit(resource.RLIMIT_DATA)
-    with pytest.raises(
-        InputError, match=r"unpacks to more than|longer than 1000000 signs|not a finite number"
-    ):
-        Dataset.load(tmp_path)
-    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    words = ("unpacks to more than", "longer than 1000000 signs", "not a finite number")
+    said = read_afresh(tmp_path)
+    assert any(word in said for word in words), said
 
 
 def test_a_long_record_is_no_bomb(tmp_path: Path) -> None:

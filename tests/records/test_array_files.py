@@ -8,17 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from malformed import read_afresh
 from record_formats import ANGLE, TIME, VOLTS, write_yaml
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.readers import load_any, table
-
-
-@pytest.fixture(autouse=True)
-def little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bound for every file, so that small bombs go off."""
-    monkeypatch.setattr(table, "MOST_MEMORY", 50_000_000)
+from hybrid_id.records.readers import load_any
 
 
 def refused(path: Path, wanted: list[str], *words: str) -> None:
@@ -57,7 +52,7 @@ def test_npz_that_is_wrong(tmp_path: Path) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     refused(path, ["t"], "not a readable .npz file")
     np.savez_compressed(path, t=np.zeros(40_000_000))
-    refused(path, ["t"], "unpacks to more than")
+    assert "unpacks to more than" in read_afresh(path, "t")
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
     for claimed, word in (
@@ -118,7 +113,7 @@ def test_mat73_that_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     path.write_bytes(whole[: len(whole) // 3])
     refused(path, ["t"], "not a readable MATLAB 7.3 file")
     write_mat73(path, {"t": np.zeros(40_000_000)}, chunks=(1, 1_000_000), compression="gzip")
-    refused(path, ["t"], "unpacks to more than")
+    assert "unpacks to more than" in read_afresh(path, "t")
 
 
 def test_mat73_with_a_piece_that_unpacks_to_more_than_it_says(tmp_path: Path) -> None:
@@ -128,4 +123,4 @@ def test_mat73_with_a_piece_that_unpacks_to_more_than_it_says(tmp_path: Path) ->
     with h5py.File(tmp_path / "run.mat", "w") as file:
         item = file.create_dataset("t", (1, 1000), chunks=(1, 1000), compression="gzip", dtype="f8")
         item.id.write_direct_chunk((0, 0), zlib.compress(bytes(150_000_000), 9))
-    refused(tmp_path / "run.mat", ["t"], "not a readable MATLAB 7.3 file")
+    assert "not a readable MATLAB 7.3 file" in read_afresh(tmp_path / "run.mat", "t")
