@@ -45,21 +45,7 @@ is a where c holds, else b: of one lane and of several at once, for which C has 
 CONDITIONS = {("where", 0), ("masked_fill", 1)}
 """Arguments that are conditions, by operation and place."""
 COMPARISONS = ("gt", "ge", "lt", "le", "eq", "ne")
-FUNCTIONS = (
-    "exp",
-    "expm1",
-    "log",
-    "log1p",
-    "sin",
-    "cos",
-    "tan",
-    "atan",
-    "asinh",
-    "tanh",
-    "cosh",
-    "sinh",
-    "erf",
-)
+FUNCTIONS = [name for name, code in OPERATIONS.items() if code == f"{name}({{0}})" and name != "sqrt"]
 """Functions of one argument that the C library may offer for whole vectors."""
 DECLARED = "\n".join(
     f'__attribute__((simd("notinbranch"), const)) double {name}({"double, " * (name in ("pow", "atan2"))}double);'
