@@ -760,22 +760,6 @@ class RigidBodyTree:
             motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
         return motion
 
-    def dynamics(self, q: Rows, v: Rows, bodies: Sequence[Body] = ()) -> tuple[list[list[Row]], list[Row]]:
-        """Mass matrix with the rotors' armature, and bias: ``M a + bias`` are the torques at the joints.
-
-        The armature is the description's, which knows no couplings.
-
-        Args:
-            q: positions [rad or m].
-            v: speeds [rad/s or m/s].
-            bodies: see :meth:`inertias`.
-        """
-        poses, inertias = self.poses(q), self.inertias(bodies)
-        mass = self.mass_matrix(poses, inertias)
-        for k, joint in enumerate(self.joints):
-            mass[k][k] = add(mass[k][k], joint.armature)
-        return mass, self.inverse_dynamics(poses, inertias, v)
-
 
 def frame(axis: Sequence[float]) -> Matrix:
     """Rotation whose third column is an axis: a joint's frame in the axes that the axis is given in.
