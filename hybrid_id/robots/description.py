@@ -303,7 +303,40 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
     if not name:
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
         raise InputError(f"{path}: a joint of body '{body}' has no name; give it one.")
-    damping, dry = _damping(mujoco, model, j), float(model.dof_frictionloss[at])
+    # the actuators at the joint: those that drive it, and those that brake it by its speed alone, whatever they are
+    # told (a loop of the speed brakes where another actuator drives the joint; alone it drives)
+    trn, gain, bias = mujoco.mjtTrn, mujoco.mjtGain, mujoco.mjtBias
+    kinds = (int(trn.mjTRN_JOINT), int(trn.mjTRN_JOINTINPARENT))  # of a hinge or slide both are the same
+    here = np.isin(model.actuator_trntype, kinds) & (model.actuator_trnid[:, 0] == j)
+    acting, passive = [int(i) for i in np.flatnonzero(here)], braking(model) | idle(model)
+    driving = [i for i in acting if not passive[i]] or [i for i in acting if model.actuator_gainprm[i][0]]
+    brakes = [i for i in acting if i not in driving]
+    gears, fixed = model.actuator_gear[:, 0], model.actuator_gaintype == gain.mjGAIN_FIXED
+    affine = model.actuator_biastype == bias.mjBIAS_AFFINE
+    static = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
+    brake = 0.0 - sum(float(gears[i] ** 2 * model.actuator_biasprm[i][2]) for i in brakes)
+    limits = [
+        abs(float(gears[i])) * float(np.min(np.abs(model.actuator_forcerange[i])))
+        for i in acting
+        if model.actuator_forcelimited[i]
+    ]
+    limits += [float(np.min(np.abs(model.jnt_actfrcrange[j])))] if model.jnt_actfrclimited[j] else []
+    torque_limit = min(limits, default=np.inf)
+    # its position loop: an actuator whose force is kp (ctrl - l) - kv l', with l the gear times q
+    servo: Servo | None = None
+    for i in driving:
+        stiffness, gear = float(model.actuator_gainprm[i][0]), float(gears[i])
+        constant_part, by_angle, by_speed = (float(term) for term in model.actuator_biasprm[i][:3])
+        loop = stiffness > 0.0 and by_angle == -stiffness and constant_part == 0.0
+        if servo is None and gear > 0.0 and static[i] and fixed[i] and loop:
+            least, most = (float(end) / gear for end in model.actuator_ctrlrange[i])
+            goals = (least, most) if model.actuator_ctrllimited[i] else None
+            largest = None if np.isinf(torque_limit) else torque_limit
+            servo = Servo(gear**2 * stiffness, brake - gear**2 * by_speed, largest, goals)
+    damping = float(np.ravel(model.dof_damping[at])[0])
+    damping += sum(float(gears[i] ** 2 * model.actuator_damping[i]) for i in acting)
+    damping += 0.0 if servo else brake
+    dry = float(model.dof_frictionloss[at])
     for word, value in (("damping", damping), ("frictionloss", dry)):
         if value < 0.0:
             raise InputError(f"{path}: {word} of joint '{name}' is {value:g}; give 0 or more.")
@@ -312,7 +345,7 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
             raise InputError(
                 f"{path}: {word} of joint '{name}' is a polynomial, which is not simulated; keep its first number."
             )
-    for i in _acting(mujoco, model, j):
+    for i in acting:
         if np.any(model.actuator_dampingpoly[i]):
             raise InputError(
                 f"{path}: damping of the actuator of joint '{name}' is a polynomial, which is not simulated; keep its "
@@ -324,7 +357,6 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
                 f"list {{place: {name}/input, kind: delay, parameters: {{T_d: {delay:g}}}}} among the components of "
                 "model.yaml."
             )
-    driving, brakes = _driving(mujoco, model, j)
     if len(driving) > 1:
         raise InputError(
             f"{path}: joint '{name}' has {len(driving)} actuators, of which one can drive it; keep that one."
@@ -334,32 +366,31 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
             f"{path}: the velocity actuator that brakes joint '{name}' has a forcerange of its own, which is not "
             "simulated; give the damping as that of the joint."
         )
+    # what the actuator that drives it makes of its command, where that or the speed alone makes its force
+    motor: dict[str, Any] = {}
     for i in driving:
-        affine = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
-        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
         stiffness, by_angle = float(model.actuator_gainprm[i][0]), float(model.actuator_biasprm[i][1])
-        if affine and fixed and by_angle == -stiffness and stiffness <= 0.0:
+        if affine[i] and fixed[i] and by_angle == -stiffness and stiffness <= 0.0:
             raise InputError(
                 f"{path}: kp of the actuator of joint '{name}' is {stiffness:g}; give more than 0."
             )
-        if _acts_by_angle(mujoco, model, i) and _servo(mujoco, model, j) is None:
+        # the cogging of a motor is left out
+        by_gain = not (fixed[i] or model.actuator_gaintype[i] == gain.mjGAIN_DCMOTOR)
+        if model.actuator_gaintype[i] == gain.mjGAIN_AFFINE:
+            by_gain = model.actuator_gainprm[i][1] != 0.0
+        if (by_gain or (affine[i] and by_angle != 0.0)) and servo is None:
             raise InputError(
                 f"{path}: the actuator of joint '{name}' acts by the angle in another way than a <position> that has "
                 "kp, kv and a gear above 0, and no timeconst, which alone is simulated; make it one, or take it out."
             )
-    # what the actuator that drives it makes of its command, where that or the speed alone makes its force
-    bias, servo = mujoco.mjtBias, _servo(mujoco, model, j)
-    motor: dict[str, Any] = {}
-    for i in driving:
-        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
-        if not (fixed and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE):
-            continue
-        if model.actuator_biastype[i] == bias.mjBIAS_NONE:
-            motor = {"gear": float(model.actuator_gear[i][0]), "gain": float(model.actuator_gainprm[i][0])}
+        if fixed[i] and static[i] and model.actuator_biastype[i] == bias.mjBIAS_NONE:
+            motor = {"gear": float(gears[i]), "gain": stiffness}
             if model.actuator_ctrllimited[i]:
                 motor["commands"] = tuple(float(end) for end in model.actuator_ctrlrange[i])
-        elif model.actuator_biastype[i] == bias.mjBIAS_AFFINE and servo is None:
+        elif fixed[i] and static[i] and affine[i] and servo is None:
             motor = {"by_speed": bool(model.actuator_biasprm[i][2])}
+    armature = float(model.dof_armature[at])
+    armature += sum(float(gears[i] ** 2 * model.actuator_armature[i]) for i in acting)
     return TreeJoint(
         name=name,
         kind="slide" if slide else "hinge",
@@ -367,26 +398,15 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         rotation=constant(rotation.tolist()),
         position=_vector(position),
         limits=(low, high) if limited else (-float("inf"), float("inf")),
-        armature=float(model.dof_armature[at]) + _of_actuators(mujoco, model, j, model.actuator_armature),
+        armature=armature,
         damping=damping,
         friction_loss=dry,
         stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
         servo=servo,
-        torque_limit=_torque_limit(mujoco, model, j),
+        torque_limit=torque_limit,
         **motor,
     )
-
-
-def _acts_by_angle(mujoco: Any, model: Any, i: int) -> bool:
-    """Whether the force of an actuator depends on the angle where it acts, the cogging of a motor left out."""
-    gain = mujoco.mjtGain(int(model.actuator_gaintype[i]))
-    if gain == mujoco.mjtGain.mjGAIN_AFFINE:
-        by_gain = model.actuator_gainprm[i][1] != 0.0
-    else:
-        by_gain = gain not in (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_DCMOTOR)
-    affine = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
-    return bool(by_gain or (affine and model.actuator_biasprm[i][1] != 0.0))
 
 
 def _speed_limits(path: Path) -> dict[str, float]:
@@ -412,23 +432,6 @@ def _speed_limits(path: Path) -> dict[str, float]:
     return found
 
 
-def _acting(mujoco: Any, model: Any, j: int) -> list[int]:
-    """Numbers of the actuators at a joint."""
-    trn = mujoco.mjtTrn  # of a hinge or slide both are the same
-    at = np.isin(model.actuator_trntype, (int(trn.mjTRN_JOINT), int(trn.mjTRN_JOINTINPARENT)))
-    return [int(i) for i in np.flatnonzero(at & (model.actuator_trnid[:, 0] == j))]
-
-
-def _driving(mujoco: Any, model: Any, j: int) -> tuple[list[int], list[int]]:
-    """Numbers of the actuators that drive a joint, and of those that brake it: by its speed alone, whatever it is told.
-
-    A loop of the speed brakes where another actuator drives the joint; alone it drives.
-    """
-    own, passive = _acting(mujoco, model, j), braking(model) | idle(model)
-    driving = [i for i in own if not passive[i]] or [i for i in own if model.actuator_gainprm[i][0]]
-    return driving, [i for i in own if i not in driving]
-
-
 def braking(model: Any) -> np.ndarray:
     """Whether the force of each actuator of a compiled MJCF depends, beside its command, on the speed alone."""
     import mujoco
@@ -445,55 +448,6 @@ def idle(model: Any) -> np.ndarray:
     without = model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE  # type: ignore[attr-defined]
     fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED  # type: ignore[attr-defined]
     return without & fixed & (model.actuator_gainprm[:, 0] == 0.0)
-
-
-def _brake(mujoco: Any, model: Any, j: int) -> float:
-    """Damping at a joint by the actuators that brake it [N m s/rad or N s/m]."""
-    _, brakes = _driving(mujoco, model, j)
-    return 0.0 - sum(float(model.actuator_gear[b][0] ** 2 * model.actuator_biasprm[b][2]) for b in brakes)
-
-
-def _of_actuators(mujoco: Any, model: Any, j: int, values: np.ndarray) -> float:
-    """Armature or damping that the actuators of a joint bring along, seen at the joint."""
-    return sum(float(model.actuator_gear[i][0] ** 2 * values[i]) for i in _acting(mujoco, model, j))
-
-
-def _damping(mujoco: Any, model: Any, j: int) -> float:
-    """Damping at a joint [N m s/rad or N s/m]: its own, its actuators', and their brakes where no servo has these."""
-    own = float(np.ravel(model.dof_damping[int(model.jnt_dofadr[j])])[0])
-    brake = 0.0 if _servo(mujoco, model, j) else _brake(mujoco, model, j)
-    return own + _of_actuators(mujoco, model, j, model.actuator_damping) + brake
-
-
-def _torque_limit(mujoco: Any, model: Any, j: int) -> float:
-    """Largest torque [N m or N] that a joint's actuator may give; inf where nothing limits it."""
-    least = np.inf
-    if model.jnt_actfrclimited[j]:
-        least = float(np.min(np.abs(model.jnt_actfrcrange[j])))
-    for i in _acting(mujoco, model, j):
-        if model.actuator_forcelimited[i]:
-            gear = abs(float(model.actuator_gear[i][0]))
-            least = min(least, gear * float(np.min(np.abs(model.actuator_forcerange[i]))))
-    return least
-
-
-def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
-    """The position loop of a joint: an actuator whose force is ``kp (ctrl - l) - kv l'``, ``l`` the gear times q."""
-    for i in _driving(mujoco, model, j)[0]:
-        stiffness, (constant_part, by_angle, by_speed) = (
-            model.actuator_gainprm[i][0],
-            model.actuator_biasprm[i][:3],
-        )
-        gear = float(model.actuator_gear[i][0])
-        alone = gear > 0.0 and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
-        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
-        if alone and fixed and stiffness > 0 and by_angle == -stiffness and constant_part == 0.0:
-            limit = _torque_limit(mujoco, model, j)
-            least, most = (float(end) / gear for end in model.actuator_ctrlrange[i])
-            goals = (least, most) if model.actuator_ctrllimited[i] else None
-            damping = _brake(mujoco, model, j) - gear**2 * float(by_speed)
-            return Servo(gear**2 * float(stiffness), damping, None if np.isinf(limit) else limit, goals)
-    return None
 
 
 def _body(mujoco: Any, model: Any, b: int, joint: int, pose: Pose) -> Body:
