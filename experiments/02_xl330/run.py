@@ -19,7 +19,8 @@ parser.add_argument("--jobs", type=int, default=2)
 options = parser.parse_args()
 
 config = read_yaml(options.config)
-pairs = [resample_record(r, config["sample_time"]) for r in Dataset.from_bam(options.data or config["data"])]
+logs = Dataset.load(Path(__file__).with_name("servo.yaml"), folder=options.data or config["data"])
+pairs = [resample_record(r, config["sample_time"]) for r in logs]
 records = [record for record, _ in pairs]
 print("\n".join(report.message for _, report in pairs))
 run = Parallel(n_jobs=options.jobs)

@@ -17,7 +17,8 @@ from hybrid_id.records.yaml_file import read_yaml
 
 torch.set_num_threads(1)
 config = read_yaml(Path(__file__).with_name("config.yaml"))
-logs = Dataset.from_bam(sys.argv[1] if len(sys.argv) > 1 else config["data"])
+SERVO = Path(__file__).parents[1] / "02_xl330" / "servo.yaml"
+logs = Dataset.load(SERVO, folder=sys.argv[1] if len(sys.argv) > 1 else config["data"])
 records = [resample_record(r, config["sample_time"])[0] for r in logs]
 gains = sorted({float(r.signal(config["held_out"])[0]) for r in records})
 pairs = []

@@ -47,7 +47,8 @@ def xl330(data: Path, model: str = "model") -> Machine:
     """Twelve logs of the servo: duty, measured supply and switch to the angle; all train."""
     how, names = CONFIG["xl330"], ("duty1", "supply1", "enable1")
     records = []
-    for record in Dataset.from_bam(data / how["folder"]):
+    logs = Path(__file__).parents[1] / "02_xl330" / "servo.yaml"
+    for record in Dataset.load(logs, folder=data / how["folder"]):
         record = resample_record(record, how["sample_time"])[0]
         inputs = {name: record.signal(name) for name in names}
         meta = {**record.meta, "gain1": float(record.signal("gain1")[0])}

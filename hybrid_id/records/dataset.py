@@ -171,19 +171,6 @@ class Dataset:
 
         return Dataset(*load_dataset(Path(path), None if folder is None else Path(folder)))
 
-    @staticmethod
-    def from_bam(folder: str | Path, *, test: Iterable[str] = (), name: str = "") -> "Dataset":
-        """Make a dataset of a folder of BAM servo logs (`.json`, `.json.gz`), one record a file.
-
-        Args:
-            folder: The folder; its logs are taken in the order of their names.
-            test: Names of the records (file names without ending) that become test records.
-            name: Name of the dataset; the folder's name by default.
-        """
-        from hybrid_id.records.dataset_file import load_bam_folder
-
-        return Dataset(*load_bam_folder(Path(folder), set(test), name))
-
     def save(self, path: str | Path) -> Path:
         """Write the dataset as a folder of `dataset.yaml` and one `.csv.gz` a record; returns the folder.
 

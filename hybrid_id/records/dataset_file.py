@@ -13,7 +13,7 @@ from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, TimeRange, format_of, is_bag_folder, load_any, record_name
 from hybrid_id.records.record import Channel, Record, find_fault, keeps_step, stamp
 from hybrid_id.records.resample import MAX_GAP, ResampleReport, resample_record, shift_channels
-from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
+from hybrid_id.records.schema import ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
 from hybrid_id.records.units import number_of, to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 
@@ -26,8 +26,6 @@ SAVED = ("name", "unit", "noise_std")
 """What a file holds of a channel whose values are in SI."""
 AROUND = 0.1
 """Share of the part of a file that is kept by which it is read beyond, where channels are brought to one another."""
-_BAM_INPUTS = {"goal1": "rad", "gain1": "1", "duty1": "1", "supply1": "V", "enable1": "1"}
-_BAM_OUTPUTS = {"q_m1": "rad", "v_m1": "rad/s"}
 
 
 class Content(NamedTuple):
@@ -61,26 +59,6 @@ def load_dataset(path: Path, folder: Path | None) -> Content:
     if not spec.follow_links:
         refuse_outside(file, file.parent, str(file), FOLLOW)
     return _build(spec, file, folder or file.parent, path)
-
-
-def load_bam_folder(folder: Path, test: set[str], name: str) -> Content:
-    """Make a dataset of a folder of BAM logs; `Dataset.from_bam` documents the arguments."""
-    logs = sorted([*folder.glob("*.json"), *folder.glob("*.json.gz")])
-    if not logs:
-        raise InputError(f"{folder} holds no .json or .json.gz logs; give the folder that they are in")
-    names = [record_name(log) for log in logs]
-    if strangers := test - set(names):
-        raise InputError(f"{folder} has no log '{min(strangers)}' to test on; it has {', '.join(names)}")
-    spec = DatasetFile(
-        name=name or folder.resolve().name,
-        inputs=[ChannelEntry(name=channel, unit=unit) for channel, unit in _BAM_INPUTS.items()],
-        outputs=[ChannelEntry(name=channel, unit=unit) for channel, unit in _BAM_OUTPUTS.items()],
-        records=[
-            RecordEntry(file=log.name, format="bam", role="test" if record_name(log) in test else "train")
-            for log in logs
-        ],
-    )
-    return _build(spec, folder, folder, folder)
 
 
 def write_dataset(dataset: "Dataset", folder: Path) -> None:

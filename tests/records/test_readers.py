@@ -1,6 +1,7 @@
 # pyright: reportCallIssue=false
 import gzip
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -97,6 +98,9 @@ def test_matlab_variables_and_columns_of_matrices(tmp_path) -> None:
         load_any(tmp_path / "a.mat", ["s"])
 
 
+SERVO = Path(__file__).parents[2] / "experiments" / "02_xl330" / "servo.yaml"
+
+
 def bam_log(load: list[int]) -> dict:
     entries = [
         {"timestamp": 0.005 * k, "position": 0.1 * k, "speed": 20.0 + k, "goal_position": 0.2, "load": value,
@@ -111,7 +115,11 @@ def test_bam_log(tmp_path) -> None:
     for name in ("one.json", "two.json.gz"):
         raw = json.dumps(bam_log([0, 885, 65536 - 885, 65535])).encode()
         (tmp_path / name).write_bytes(gzip.compress(raw) if name.endswith("gz") else raw)
-    data = Dataset.from_bam(tmp_path, test=["two"], name="servo")
+    roles = "  - {file: one.json}\n  - {file: two.json.gz, format: bam, role: test}\n"
+    (tmp_path / "dataset.yaml").write_text(
+        SERVO.read_text().replace('  - {file: "*.json*", format: bam}\n', roles)
+    )
+    data = Dataset.load(tmp_path)
     assert all(record.meta["temperature1"] == 28.0 for record in data)
     assert [record.role for record in data] == ["train", "test"]
     record = data["one"]
@@ -122,12 +130,10 @@ def test_bam_log(tmp_path) -> None:
     assert record.meta["mass"] == 0.49
     assert record.note == "sin_sin"
     assert Dataset.load(data.save(tmp_path / "native"))["one"].meta == record.meta
-    with pytest.raises(InputError, match="no log 'three'"):
-        Dataset.from_bam(tmp_path, test=["three"])
 
 
 def test_real_bam_logs(shared) -> None:
-    data = Dataset.from_bam(shared / "data" / "bam_xl330" / "raw")
+    data = Dataset.load(SERVO, folder=shared / "data" / "bam_xl330" / "raw")
     assert len(data) == 12
     assert data.sample_time is None
     for record in data:
