@@ -23,9 +23,9 @@ records:
 """
 
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 from hybrid_id.records.resample import MAX_GAP
 from hybrid_id.records.units import spellings
@@ -93,7 +93,17 @@ class ResampleEntry(_Part):
     max_gap: float = Field(default=MAX_GAP, gt=1)
 
 
-Columns = dict[str, str | ColumnEntry]
+def _short_columns(value: Any) -> Any:
+    """Write `u1: plant_input` out as `u1: {column: plant_input}`."""
+    if not isinstance(value, dict):
+        return value
+    return {key: item if isinstance(item, dict) else {"column": item} for key, item in value.items()}
+
+
+Columns = Annotated[
+    dict[str, ColumnEntry],
+    BeforeValidator(_short_columns, json_schema_input_type=dict[str, str | ColumnEntry]),
+]
 """What ``columns`` may be in a file."""
 
 
@@ -117,14 +127,10 @@ class RecordEntry(_Part):
     role: Literal["train", "validation", "test"] = "train"
     note: str = ""
     format: Format | None = None
-    columns: dict[str, ColumnEntry] = {}
+    columns: Columns = {}
     episode: int | None = Field(default=None, ge=0)
     between: tuple[float, float] | None = None
     meta: dict[str, float | str] = {}
-
-    _columns = field_validator("columns", mode="before", json_schema_input_type=Columns)(
-        lambda value: _short_columns(value)
-    )
 
     @field_validator("file")
     @classmethod
@@ -158,22 +164,11 @@ class DatasetFile(_Part):
     outputs: list[ChannelEntry] = Field(min_length=1)
     records: list[RecordEntry] = Field(min_length=1)
     format: Format | None = None
-    columns: dict[str, ColumnEntry] = {}
+    columns: Columns = {}
     resample: ResampleEntry | None = None
     follow_links: bool = False
-
-    _columns = field_validator("columns", mode="before", json_schema_input_type=Columns)(
-        lambda value: _short_columns(value)
-    )
 
     @field_validator("resample", mode="before", json_schema_input_type=bool | ResampleEntry | None)
     @classmethod
     def _short_resample(cls, value: Any) -> Any:
         return {True: {}, False: None}[value] if isinstance(value, bool) else value
-
-
-def _short_columns(value: Any) -> Any:
-    """Write `u1: plant_input` out as `u1: {column: plant_input}`."""
-    if not isinstance(value, dict):
-        return value
-    return {key: item if isinstance(item, dict) else {"column": item} for key, item in value.items()}

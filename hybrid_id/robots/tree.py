@@ -214,11 +214,8 @@ class Carried:
     @classmethod
     def of(cls, kind: str, groups: Mapping[str, Sequence[Row]]) -> Carried:
         """From its :attr:`groups`, of which all but ``load`` may be left out where nothing needs them."""
-        load = _vectors(groups["load"][:13])
-        mass, (xx, xy, xz, yy, yz, zz) = groups["load"][9], groups["load"][13:19]
-        body = SpatialInertia(
-            mass, _vectors(groups["load"][10:13])[0], ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-        )
+        load = groups["load"]
+        spin, turn, pull, coriolis = _vectors([*load[:9], *load[20:23]])
         height, *touch = groups.get("touch", [0.0])
         base = _vectors(groups.get("base", [0.0] * 9))
         within = {}
@@ -228,7 +225,7 @@ class Carried:
                 pose = (one[0], one[1], one[2]), one[3]
                 within[int(name[4:]) - 1] = Within(*pose, (one[4], one[5]), (one[6], one[7]))
         return cls(
-            kind, (load[0], load[1], load[2]), body, groups["load"][19], _vectors(groups["load"][20:23])[0],
+            kind, (spin, turn, pull), _of_ten(load[9:19]), load[19], coriolis,
             (base[0], base[1], base[2]), height, tuple(_vectors(touch)), within,
         )  # fmt: skip
 

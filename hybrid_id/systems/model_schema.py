@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictBool,
+    field_validator,
+    model_validator,
+)
 
 from hybrid_id.components.base import PLACES, REGISTRY, Component
 from hybrid_id.components.input.voltage import Voltage
@@ -105,16 +113,6 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def _short_parameters(value: Any) -> Any:
-    """Write `F_c: 0.01` out as `F_c: {nominal: 0.01}`."""
-    if not isinstance(value, dict):
-        return value
-    return {
-        key: item if isinstance(item, dict | ParameterEntry) else {"nominal": item}
-        for key, item in value.items()
-    }
-
-
 class ParameterEntry(_Section):
     """One parameter in a file, and an optional Gaussian prior, whose mean is the nominal value unless one is given.
 
@@ -145,7 +143,20 @@ class ParameterEntry(_Section):
         return self
 
 
-Parameters = dict[str, float | ParameterEntry]
+def _short_parameters(value: Any) -> Any:
+    """Write `F_c: 0.01` out as `F_c: {nominal: 0.01}`."""
+    if not isinstance(value, dict):
+        return value
+    return {
+        key: item if isinstance(item, dict | ParameterEntry) else {"nominal": item}
+        for key, item in value.items()
+    }
+
+
+Parameters = Annotated[
+    dict[str, ParameterEntry],
+    BeforeValidator(_short_parameters, json_schema_input_type=dict[str, float | ParameterEntry]),
+]
 """What ``parameters`` may be in a file."""
 
 
@@ -162,13 +173,9 @@ class ComponentEntry(_Section):
 
     place: str = Field(json_schema_extra={"pattern": f"^.+/({'|'.join(PLACES)})$"})
     kind: str = Field(json_schema_extra=one_of(lambda: sorted(REGISTRY)))
-    parameters: dict[str, ParameterEntry] = {}
+    parameters: Parameters = {}
     options: dict[str, Any] = {}
     weights: dict[str, list[Any]] = {}
-
-    _parameters = field_validator("parameters", mode="before", json_schema_input_type=Parameters)(
-        _short_parameters
-    )
 
 
 class RobotEntry(_Section):
@@ -237,13 +244,9 @@ class ModelFile(_Section):
     gear_ratio: list[float] = []
     couplings: list[CouplingEntry] = []
     gravity: Literal["none", "vertical"] = "none"
-    parameters: dict[str, ParameterEntry] = {}
+    parameters: Parameters = {}
     servos: dict[str, ServoEntry] = {}
     components: list[ComponentEntry] = []
-
-    _parameters = field_validator("parameters", mode="before", json_schema_input_type=Parameters)(
-        _short_parameters
-    )
 
     @field_validator("gear_ratio", mode="before")
     @classmethod
