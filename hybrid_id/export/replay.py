@@ -21,6 +21,7 @@ from hybrid_id.export.own_file import mujoco_model
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
+from hybrid_id.records.units import number_of, stem
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fit import known_mean, nrmse, rmse
@@ -267,7 +268,7 @@ def _mujoco_replay(
     switched = any((command.on != 1.0).any() for command in commands)
     limited = model.actuator_ctrllimited[motors].copy()
     pulls = [(matrix, matrix[motors].copy()) for matrix in (model.actuator_gainprm, model.actuator_biasprm)]
-    read = {n: _reading(model, system, exported, n) for n in record.outputs if _channel(n)[0] in READ}
+    read = {n: _reading(model, system, exported, n) for n in record.outputs if stem(n) in READ}
     states = np.empty((record.n_samples, model.nq + model.nv))
     ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
     for k in range(record.n_samples):
@@ -295,19 +296,13 @@ def _mujoco_replay(
 def _read(system: System, name: str, true: np.ndarray) -> np.ndarray:
     """What an encoder reads of true angles, in time."""
     views = system.views([value.detach().reshape(1) for value in system.theta()])
-    channel, number = _channel(name)
-    return system.joints[number].sensing.read(channel, torch.tensor(true), 0.0, (), views).numpy()
-
-
-def _channel(name: str) -> tuple[str, int]:
-    """Channel and joint, from 0, of an output's name."""
-    channel = name.rstrip("0123456789")
-    return channel, int(name[len(channel) :] or 0) - 1
+    joint = system.joints[int(number_of(name)) - 1]
+    return joint.sensing.read(stem(name), torch.tensor(true), 0.0, (), views).numpy()
 
 
 def _reading(model: Any, system: System, exported: Mjcf, name: str) -> np.ndarray:
     """An output as a sum over MuJoCo's positions and speeds, ``(n_q + n_v,)``: its sensors lag a step."""
-    channel, number = _channel(name)
+    channel, number = stem(name), int(number_of(name)) - 1
     joint = system.joints[number]
     found = np.zeros(model.nq + model.nv)
 

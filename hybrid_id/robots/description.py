@@ -64,7 +64,16 @@ def read_spec(path: Path) -> Any:
     Raises:
         InputError: see :func:`load_tree`.
     """
-    mujoco, spec = _parsed(path)
+    mujoco = _mujoco(path)
+    try:
+        walk(path)
+        spec = mujoco.MjSpec.from_file(str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give an MJCF or URDF file.") from error
+    except BROKEN as error:
+        raise InputError(
+            f"{path}: MuJoCo cannot read it ({_first_line(error)}); correct it there."
+        ) from error
     for joint in spec.joints:
         if joint.type == mujoco.mjtJoint.mjJNT_BALL:
             own = f"joint '{joint.name}'" if joint.name else "a joint without a name"
@@ -101,19 +110,6 @@ def _mujoco(path: Path) -> Any:
             f"{path}: reading a robot's description needs MuJoCo; install it with pip install 'hybrid_id[robots]'."
         ) from error
     return mujoco
-
-
-def _parsed(path: Path) -> tuple[Any, Any]:
-    mujoco = _mujoco(path)
-    try:
-        walk(path)
-        return mujoco, mujoco.MjSpec.from_file(str(path))  # type: ignore[attr-defined]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give an MJCF or URDF file.") from error
-    except BROKEN as error:
-        raise InputError(
-            f"{path}: MuJoCo cannot read it ({_first_line(error)}); correct it there."
-        ) from error
 
 
 def _first_line(error: Exception) -> str:
@@ -457,18 +453,12 @@ def _body(mujoco: Any, model: Any, b: int, joint: int, pose: Pose) -> Body:
     x, y, z = (_vector(row) for row in about_centre)
     inertia = SpatialInertia.about_centre(float(mass), constant_vector(model.body_ipos[b]), (x, y, z))
     rotation, position = pose
-    return Body(_body_name(mujoco, model, b), joint, constant(rotation.tolist()), _vector(position), inertia)
-
-
-def _body_name(mujoco: Any, model: Any, b: int) -> str:
-    """A body's name; of one without a name its number, told from what others are called by a sign."""
+    # one without a name is called by its number, told from what others are called by a sign
     kind = mujoco.mjtObj.mjOBJ_BODY
-    if name := mujoco.mj_id2name(model, kind, b):
-        return name
-    name = f"body{b}"
-    while mujoco.mj_name2id(model, kind, name) >= 0:
+    name = mujoco.mj_id2name(model, kind, b) or f"body{b}"
+    while mujoco.mj_name2id(model, kind, name) not in (-1, b):
         name += "_"
-    return name
+    return Body(name, joint, constant(rotation.tolist()), _vector(position), inertia)
 
 
 def _rotation(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:

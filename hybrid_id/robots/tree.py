@@ -93,7 +93,7 @@ class SpatialInertia:
 
     def at_centre(self) -> tuple[float, Vector, Matrix]:
         """Mass [kg], centre [m] and inertia about that centre [kg m^2] of a body of plain numbers."""
-        mass = _number(self.mass)
+        mass = float(self.mass)
         centre = scale(1.0 / mass, self.moment)
         return mass, centre, self.seen_from(_IDENTITY, scale(-1.0, centre)).inertia
 
@@ -246,7 +246,7 @@ class Carried:
         frame = self.within[joint]
         one = body.seen_from(frame.rotation, frame.position)
         momentum = _momentum(one, *frame.moves)
-        needed = _plus(_momentum(one, *frame.faster), _crossed_force(frame.moves, momentum))
+        needed = _plus(_momentum(one, *frame.faster), _crossed(frame.moves, momentum))
         if self.kind == "hinge":  # by the inertia's rate of change, and by the momentum that the spin turns
             turned = momentum[1][1], multiply(-1.0, momentum[1][0]), 0.0
             coriolis = plus(_inertia_slope(one, *frame.moves), turned)
@@ -285,10 +285,8 @@ class Body:
     def held(self) -> Body:
         """The body with plain numbers in the place of tensors of one value."""
         mass, moment, inertia = self.inertia.mass, self.inertia.moment, self.inertia.inertia
-        x, y, z = (constant_vector([_number(value) for value in row]) for row in inertia)
-        still = SpatialInertia(
-            _number(mass), constant_vector([_number(value) for value in moment]), (x, y, z)
-        )
+        x, y, z = (constant_vector([float(value) for value in row]) for row in inertia)
+        still = SpatialInertia(float(mass), constant_vector([float(value) for value in moment]), (x, y, z))
         return replace(self, inertia=still)
 
 
@@ -435,13 +433,13 @@ class RigidBodyTree:
     def at_zero(self) -> tuple[float, ...]:
         """Inertia that each joint moves with all joints at zero [kg m^2 or kg]."""
         mass = self.mass_matrix(self.poses([0.0] * len(self.joints)), self.inertias())
-        return tuple(_number(mass[k][k]) for k in range(len(self.joints)))
+        return tuple(float(mass[k][k]) for k in range(len(self.joints)))
 
     @property
     def massless(self) -> tuple[str, ...]:
         """Bodies that a joint moves without any mass but what further joints carry."""
         rigid = self.inertias()
-        return tuple(body.name for body in self.bodies if _number(rigid[body.joint].mass) == 0.0)
+        return tuple(body.name for body in self.bodies if float(rigid[body.joint].mass) == 0.0)
 
     def coupling(self, joint: int) -> GearCoupling | None:
         """The gear that couples a joint's motor with others, by the joint's number from 0; None without one."""
@@ -551,7 +549,7 @@ class RigidBodyTree:
 
     def falling(self, gravity: Vector) -> RigidBodyTree:
         """The tree under another gravity [m/s^2], tensors of one value as plain numbers."""
-        return replace(self, gravity=constant_vector([_number(value) for value in gravity]))
+        return replace(self, gravity=constant_vector([float(value) for value in gravity]))
 
     def inertias(self, bodies: Sequence[Body] = ()) -> list[SpatialInertia]:
         """What each joint carries rigidly, about the joint's origin.
@@ -771,11 +769,7 @@ def frame(axis: Sequence[float]) -> Matrix:
     length = (x * x + y * y) ** 0.5
     first = (y / length, -x / length, 0.0)
     second = cross(constant_vector(axis), first)
-    return constant([[first[i], _number(second[i]), axis[i]] for i in range(3)], 1e-14)
-
-
-def _number(row: Row) -> float:
-    return float(row)
+    return constant([[first[i], float(second[i]), axis[i]] for i in range(3)], 1e-14)
 
 
 def _pose(joint: TreeJoint, q: Row) -> Pose:
@@ -837,13 +831,8 @@ def _scaled(factor: Row, pair: Pair) -> Pair:
 
 
 def _crossed(moves: Pair, other: Pair) -> Pair:
-    """Rate of change of a spin and a speed, fixed to what moves."""
+    """Rate of change of a spin and a speed, or of a momentum and its moment, fixed to what moves."""
     return cross(moves[0], other[0]), plus(cross(moves[0], other[1]), cross(moves[1], other[0]))
-
-
-def _crossed_force(moves: Pair, momentum: Pair) -> Pair:
-    """Rate of change of a momentum and its moment, fixed to what moves."""
-    return cross(moves[0], momentum[0]), plus(cross(moves[0], momentum[1]), cross(moves[1], momentum[0]))
 
 
 def _momentum(body: SpatialInertia, spin: Vector, speed: Vector) -> Pair:
