@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -92,7 +92,11 @@ def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> Fric
     levels = [total([law.dry(p[key], speeds, side) for key, law in laws]) for side in forwards]
     smooth = [side * total([law.smooth(p[key], side * speeds) for key, law in laws]) for side in (1.0, -1.0)]
     both = [dry + rest for dry, rest in zip(levels, smooth, strict=True)]
-    weights = _weights(v, both)
+    # a miss counts as a share of the torque there: drag at top speed is no measure for a drive that starts. Where the
+    # torque is next to nothing a share of what rises above the straight line from rest to top speed is added
+    slow = max(float((torque - v * torque[-1]).max()) for torque in both)
+    least = max(NEAR_REST * slow, 1e-9 * float(np.abs(both).max()), 1e-12)
+    weights = [1.0 / (np.abs(torque) + least) for torque in both]
     features = np.stack([(v > 0).astype(float), v, v**2, v**3], 1)
     target, even = 0.5 * (smooth[0] + smooth[1]), np.sqrt(v)  # samples are dense where it is slow
     size = target.max() or 1.0  # nnls has a tolerance that knows no size
@@ -135,17 +139,6 @@ def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> Fric
     coulomb = level + float(found[0])
     edges = coulomb, coulomb + fall, stribeck * top_speed
     return FrictionCurve((a, b, c), *edges, bristle, bias, tuple(ramps), tuple(notes))
-
-
-def _weights(v: np.ndarray, both: list[np.ndarray]) -> list[np.ndarray]:
-    """Weights [1/(N m)] of misses, ``(n,)`` for each direction: a miss counts as a share of the torque there.
-
-    Drag at top speed is no measure for a drive that starts. Where the torque is next to nothing a share of what slow
-    motion meets is added, of what rises above the straight line from rest to top speed.
-    """
-    slow = max(float((torque - v * torque[-1]).max()) for torque in both)
-    least = max(NEAR_REST * slow, 1e-9 * float(np.abs(both).max()), 1e-12)
-    return [1.0 / (np.abs(torque) + least) for torque in both]
 
 
 def _largest(misses: list[np.ndarray], weights: list[np.ndarray]) -> tuple[float, float, int]:
@@ -226,7 +219,11 @@ def elasticity(joint: Joint, p: Views, torque: float) -> Elasticity:
         return spring.torque(view, deflection, torch.full_like(deflection, rate), series).detach().numpy()
 
     loaded = spring.loaded(view)
-    reach = _reach(force, torque, 1e-6 if loaded is None else float(loaded))
+    # where the spring carries the torque, and no less than where it is fully loaded
+    deflections = np.geomspace(1e-6, 10.0, 400)
+    above = force(deflections) >= torque
+    reach = float(deflections[above.argmax()]) if above.any() else 1.0
+    reach = max(reach, 1.5 * (1e-6 if loaded is None else float(loaded)))
     small, notes = 1e-9 * reach, []
     damping = [float((force(np.array([x]), 1e-6) - force(np.array([x])))[0]) / 1e-6 for x in (small, reach)]
     damping[1] = max(damping[1] - damping[0], 0.0)
@@ -265,10 +262,3 @@ def elasticity(joint: Joint, p: Views, torque: float) -> Elasticity:
         f"its torque up to {reach:.2g} rad"
     )
     return Elasticity((0.0, 0.0), springs, damping[0], None, tuple(notes))
-
-
-def _reach(force: Callable[[np.ndarray], np.ndarray], torque: float, loaded: float) -> float:
-    """Deflection [rad] at which the spring carries the torque, and no less than where it is fully loaded."""
-    reach = np.geomspace(1e-6, 10.0, 400)
-    above = force(reach) >= torque
-    return max(float(reach[above.argmax()]) if above.any() else 1.0, 1.5 * loaded)

@@ -130,7 +130,9 @@ def read_name(name: str, joints: Sequence[str] = (), others: Collection[str] = (
     joint, words = _joint_in(words, joints)
     found = set(words)
     rest = re.sub(re.escape(joint), " ", name, count=1, flags=re.IGNORECASE)  # a joint may be called 'turn'
-    text = f"{rest.lower()}\n{_spaced(rest)}"
+    # once more with camel case and underscores parted into words, for patterns with word ends
+    spaced = re.sub(r"_(?!per_|s\b|m\b)", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest).lower())
+    text = f"{rest.lower()}\n{spaced}"
     unit = next((unit for pattern, unit in UNITS if re.search(pattern, text, re.MULTILINE)), "")
     kind = next((kind for kind, some in KINDS.items() if found & some), "")
     bare = not kind and "v" in found
@@ -163,12 +165,6 @@ def read_name(name: str, joints: Sequence[str] = (), others: Collection[str] = (
         counter=bool(found & COUNTERS) or (not kind and left == [] and not found),
         speed_or_voltage=bare,
     )
-
-
-def _spaced(name: str) -> str:
-    """A name in lower case in which camel case and underscores part words, for patterns with word ends."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
-    return re.sub(r"_(?!per_|s\b|m\b)", " ", parted)
 
 
 def _joint_in(words: list[str], joints: Sequence[str]) -> tuple[str, list[str]]:

@@ -125,7 +125,8 @@ class Recorder(TorchDispatchMode):
             )
         alpha = (kwargs or {}).get("alpha", 1)
         used = OPERATIONS.get(key, "{0}{1}{2}")
-        values = enumerate(a for a in args if _counts(a))
+        # not a shape, a type or a switch
+        values = enumerate(a for a in args if isinstance(a, Tensor | int | float) and not isinstance(a, bool))
         truth = result.dtype == torch.bool and key not in COMPARISONS
         given = [
             self._written(a, truth or (key, k) in CONDITIONS) if f"{{{k}}}" in used else "" for k, a in values
@@ -169,13 +170,6 @@ def record(
 
 def _address(row: Tensor) -> int:
     return row.untyped_storage().data_ptr()
-
-
-def _counts(argument: Any) -> bool:
-    """Whether an argument is a value (not a shape, a type or a switch)."""
-    return isinstance(argument, Tensor) or (
-        isinstance(argument, int | float) and not isinstance(argument, bool)
-    )
 
 
 def _literal(value: float) -> str:

@@ -228,7 +228,11 @@ class Arm:
             for a, slope in turned[i]:
                 for b, other in turned[j]:
                     if a == b:
-                        _weigh(speeds[a], inertia * (slope**2 if i == j else 2.0 * slope * other))
+                        more = inertia * (slope**2 if i == j else 2.0 * slope * other)
+                        total, share = speeds[a].inertia + more, speeds[a].link_share
+                        if share is not None:
+                            speeds[a].link_share = (share * speeds[a].inertia + more) / total
+                        speeds[a].inertia = total
                     elif i != j or a < b:
                         shared, pair = inertia * (slope * other), (min(a, b), max(a, b))
                         shared = shared if isinstance(shared, Tensor) else x[0].new_full((1,), shared)
@@ -247,37 +251,31 @@ class Arm:
     ) -> tuple[Mass, list[Tensor | float]]:
         """Inertias beside the joints' own, and the torques that oppose each joint, at the links."""
         mass: Mass = {}
-        if self.tree is not None:
-            return self._tree_dynamics(self.tree, angles, rates, u, p)
         torques: list[Tensor | float] = [0.0, 0.0]
-        first, second = angles
-        for key, part in self.couplings.items():
-            for k, torque in enumerate(part.torques(p[key], (first, second), (rates[0], rates[1]))):
-                torques[k] = torques[k] + torque
-            if (inertia := part.inertia(p[key], second)) is not None:
-                for pair, own in (((0, 0), inertia[0]), ((0, 1), inertia[1] * p[key].definite)):
-                    mass[pair] = mass[pair] + own if pair in mass else own
-        return mass, torques
-
-    def _tree_dynamics(
-        self, tree: RigidBodyTree, angles: Rows, rates: Rows, u: Channels, p: Views
-    ) -> tuple[Mass, list[Tensor | float]]:
-        pairs: Mass
-        torques: list[Tensor | float]
-        if len(self.seats) == 1:
+        if self.tree is None:
+            first, second = angles
+            for key, part in self.couplings.items():
+                for k, torque in enumerate(part.torques(p[key], (first, second), (rates[0], rates[1]))):
+                    torques[k] = torques[k] + torque
+                if (inertia := part.inertia(p[key], second)) is not None:
+                    for pair, own in (((0, 0), inertia[0]), ((0, 1), inertia[1] * p[key].definite)):
+                        mass[pair] = mass[pair] + own if pair in mass else own
+            return mass, torques
+        tree, n = self.tree, len(angles)
+        if n == 1:
             number, forces = self.seats[0], [partial(part.force, p[key]) for key, part in self._touching]
             load = self._carried(tree, u)
             for body in self.bodies(p).values():
                 load = load.heavier(body.joint, tree.deviation(body))
             if self.tilts:
                 load = load.falling(plus(self.gravity(p), scale(-1.0, tree.gravity)))
-            inertia, torque = tree.opposing(number, load, angles[0], rates[0], forces)
-            pairs, torques = {(0, 0): inertia}, [torque]
+            alone, torque = tree.opposing(number, load, angles[0], rates[0], forces)
+            whole, torques = {(0, 0): alone}, [torque]
         else:
-            poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
-            whole, n = tree.mass_matrix(poses, inertias), len(angles)
-            pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
-        mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
+            poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * n, u, p)
+            matrix = tree.mass_matrix(poses, inertias)
+            whole = {(i, j): matrix[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
+        mass = {pair: m for pair, m in whole.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
 
     def _held_up(self, angles: Rows, u: Channels, p: Views) -> list[Tensor | float]:
@@ -466,11 +464,3 @@ def _load(speed: SpeedBalance, torque: Tensor | float) -> None:
     speed.smooth = speed.smooth - torque
     if speed.load is not None:
         speed.load = speed.load + torque
-
-
-def _weigh(speed: SpeedBalance, inertia: Tensor | float) -> None:
-    """Add inertia to the link of a speed."""
-    total = speed.inertia + inertia
-    if speed.link_share is not None:
-        speed.link_share = (speed.link_share * speed.inertia + inertia) / total
-    speed.inertia = total

@@ -98,6 +98,13 @@ class System(nn.Module):
         self.components = nn.ModuleDict(
             {key: self.components[key] for key in sorted(self.components, key=order)}
         )
+        # the dead time that all joints share may be listed at any of them
+        common = [(key, part) for key, part in self.components.items() if isinstance(part, CommonDelay)]
+        if len(common) > 1:
+            places = ", ".join(key.rpartition("/")[0] for key, _ in common)
+            raise InputError(
+                f"common_delay is listed at {places}; it acts on all joints, so keep one of them."
+            )
         self.joints: list[Joint] = []
         self.state_names: list[str] = []
         for number, ratio in zip(self._numbers, self.gear_ratio, strict=True):
@@ -105,7 +112,7 @@ class System(nn.Module):
                 k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{number}/")
             }
             joint = Joint(number, ratio, parts, len(self.state_names))
-            joint.drive.delay = joint.drive.delay or self._common_delay
+            joint.drive.delay = joint.drive.delay or next(iter(common), None)
             self.joints.append(joint)
             self.state_names += joint.state_names
         for joint in self.joints:
@@ -139,17 +146,6 @@ class System(nn.Module):
     def learned(self) -> tuple[str, ...]:
         """Keys of its networks, whether their weights are parameters or not."""
         return tuple(k for k, c in self.components.items() if isinstance(c, ResidualNetwork | ResidualTorque))
-
-    @property
-    def _common_delay(self) -> tuple[str, CommonDelay] | None:
-        """The dead time that all joints share, which may be listed at any of them."""
-        found = [(key, part) for key, part in self.components.items() if isinstance(part, CommonDelay)]
-        if len(found) > 1:
-            places = ", ".join(key.rpartition("/")[0] for key, _ in found)
-            raise InputError(
-                f"common_delay is listed at {places}; it acts on all joints, so keep one of them."
-            )
-        return found[0] if found else None
 
     def with_component(self, where: str, component: Component) -> System:
         """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""
