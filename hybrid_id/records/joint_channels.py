@@ -339,7 +339,12 @@ class _Joint:
         if found is not None and not (self.side_said and found[0] != drive.side):
             side, unit, words = found
             if unit != angle.unit:
-                self._change_unit(unit, words)
+                about = f"unit of {angle.name}"
+                angle.factor *= ANGLE_FACTORS[unit] / ANGLE_FACTORS[angle.unit]
+                angle.unit = unit
+                angle.guesses = [guess for guess in angle.guesses if guess.about != about]
+                angle.guesses.append(Guess(about, unit, words))
+                self._unask_unit(angle)
                 drive.fit = self._fit()
             if self.gear != 1.0:
                 self._turn_side(side, words)
@@ -356,16 +361,6 @@ class _Joint:
             f"Is '{angle.column}' the angle of the {here}? With a gear of {self.gear:g} and an encoder at the {there}, "
             f"call {now} {then} in dataset.yaml, and so its speed."
         )
-
-    def _change_unit(self, unit: str, words: str) -> None:
-        angle = self.outputs[0]
-        about = f"unit of {angle.name}"
-        angle.factor *= ANGLE_FACTORS[unit] / ANGLE_FACTORS[angle.unit]
-        angle.unit = unit
-        angle.guesses = [guess for guess in angle.guesses if guess.about != about]
-        angle.guesses.append(Guess(about, unit, words))
-        questions = self.evidence.proposal.questions
-        questions[:] = [q for q in questions if not q.words.startswith(f"In which unit is '{angle.column}'")]
 
     # Angle and speed
 
@@ -433,6 +428,10 @@ class _Joint:
             f"In which unit is '{chosen.column}'? It is taken as {guess.value}: {guess.evidence}.", entry
         )
 
+    def _unask_unit(self, chosen: Chosen) -> None:
+        questions = self.evidence.proposal.questions
+        questions[:] = [q for q in questions if not q.words.startswith(f"In which unit is '{chosen.column}'")]
+
     def _scale_angle(self, chosen: Chosen, unit: str) -> None:
         """Unit, scale and factor of an angle or a goal in a unit of `angle_unit`."""
         if unit != "counts":
@@ -492,7 +491,14 @@ class _Joint:
                     f"In which unit is the speed '{column.name}'? {guess.evidence}.", f"{name}: {column.name}"
                 )
             else:
-                self._doubt_unit(f"1 of '{column.name}' {guess.evidence.removeprefix('one of it ')}")
+                # the angle's unit is unsure, too: its speed contradicts it
+                about = f"unit of {angle.name}"
+                k = next(k for k, one in enumerate(angle.guesses) if one.about == about)
+                found = f"1 of '{column.name}' {guess.evidence.removeprefix('one of it ')}"
+                words = f"{angle.guesses[k].evidence}, but {found}: percent of its range?"
+                angle.guesses[k] = replace(angle.guesses[k], evidence=words, sure=False)
+                self._unask_unit(angle)
+                self._ask_unit(angle, angle.guesses[k])
             return
         chosen = Chosen(name, column.name, guess.value, factor=SPEED_FACTORS[guess.value])
         chosen.guesses += [_why(name, column, "speed"), guess]
@@ -501,20 +507,6 @@ class _Joint:
             words = f"opposed to the derivative of '{angle.column}' (correlation {related:+.2f})"
             chosen.guesses.append(Guess(f"sign of {name}", "-1", words))
         self.outputs.append(chosen)
-
-    def _doubt_unit(self, words: str) -> None:
-        """Take the angle's unit for unsure, and ask: its speed contradicts it."""
-        angle = self.outputs[0]
-        about = f"unit of {angle.name}"
-        angle.guesses = [
-            replace(one, evidence=f"{one.evidence}, but {words}: percent of its range?", sure=False)
-            if one.about == about
-            else one
-            for one in angle.guesses
-        ]
-        questions = self.evidence.proposal.questions
-        questions[:] = [q for q in questions if not q.words.startswith(f"In which unit is '{angle.column}'")]
-        self._ask_unit(angle, next(one for one in angle.guesses if one.about == about))
 
     # Command
 
@@ -657,7 +649,19 @@ class _Joint:
             reach = joint.range if joint is not None else max(float(np.ptp(one)) for one in values)
             by_goal = zero_by_goal(values, goals, reach, about)
         if guess := by_goal or by_range:
-            self._move_zero(guess, with_goal=by_goal is None and self.drive.command == "goal")
+            offset, both = float(guess.value), ""
+            angle.zero = float(f"{offset * self.ratio / angle.factor:.9g}")
+            if by_goal is None and self.drive.command == "goal":
+                self.inputs[0].zero = float(f"{offset / self.inputs[0].factor:.9g}")
+                both = ", and so that of its goal"
+            angle.guesses.append(replace(guess, value=f"{angle.zero:g}"))
+            self.evidence.ask(
+                f"Where is the zero of {self.drive.joint} in '{angle.column}'? At {angle.zero:g}{both}: "
+                f"{guess.evidence}.",
+                f"{angle.name}: {{column: {angle.column}, zero: ...}}",
+            )
+            if joint is None:
+                self.drive.fit = self._fit()
         elif joint is not None and limited:
             angle.guesses.append(Guess(about, "0", f"all angles lie in the range of {joint.name}"))
         if joint is not None and limited:
@@ -670,20 +674,6 @@ class _Joint:
                         f"{joint.name} runs to {far:.4g}, its limits are {joint.low:.4g} to {joint.high:.4g}"
                     )
                     self.evidence.stops.setdefault(k, []).append((words, beyond))
-
-    def _move_zero(self, guess: Guess, with_goal: bool) -> None:
-        angle, offset = self.outputs[0], float(guess.value)
-        angle.zero = float(f"{offset * self.ratio / angle.factor:.9g}")
-        if with_goal:
-            self.inputs[0].zero = float(f"{offset / self.inputs[0].factor:.9g}")
-        angle.guesses.append(replace(guess, value=f"{angle.zero:g}"))
-        both = ", and so that of its goal" if with_goal else ""
-        self.evidence.ask(
-            f"Where is the zero of {self.drive.joint} in '{angle.column}'? At {angle.zero:g}{both}: {guess.evidence}.",
-            f"{angle.name}: {{column: {angle.column}, zero: ...}}",
-        )
-        if self.joint is None:
-            self.drive.fit = self._fit()
 
     def _current(self) -> None:
         """A measured current is an output beside a commanded voltage."""
