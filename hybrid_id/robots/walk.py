@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
@@ -54,57 +53,73 @@ def walk(path: Path) -> None:
             includes a file twice or in a circle, or names a file outside its folder, a pipe or a device.
         OSError: it cannot be reached.
     """
-    found = _Walk(path)
-    found.file(path)
-    found.assets()
+    met: set[Path] = set()  # files that were walked through
+    size, elements, joints = 0, 0.0, 0.0  # of all of them
+    strip = False  # whether MuJoCo takes the last part of a file's name only
+    folders: dict[str, set[str]] = {
+        "texture": {""},
+        "mesh": {""},
+    }  # where it looks for textures, and for all else
+    named: set[tuple[str, str]] = set()  # element and file of each mesh, texture and the like
 
+    def inside(place: Path, what: str) -> None:
+        refuse_outside(place, path.parent, what, "bring it there, or take it out")
 
-@dataclass
-class _Walk:
-    """What has been met so far.
-
-    Attributes:
-        main: the description that the user named.
-        met: files that were walked through.
-        bytes, elements, joints: of all of them.
-        strip: whether MuJoCo takes the last part of a file's name only.
-        folders: where it looks for textures, and for all else.
-        named: element and file of each mesh, texture and the like.
-    """
-
-    main: Path
-    met: set[Path] = field(default_factory=set)
-    bytes: int = 0
-    elements: float = 0.0
-    joints: float = 0.0
-    strip: bool = False
-    folders: dict[str, set[str]] = field(default_factory=lambda: {"texture": {""}, "mesh": {""}})
-    named: set[tuple[str, str]] = field(default_factory=set)
-
-    def file(self, path: Path) -> None:
+    def enter(file: Path) -> None:
         """Walk through one file and those that it includes."""
-        self.met.add(path.resolve())
-        content = read_bytes(path, LARGEST - self.bytes, "robot's description")
-        self.bytes += len(content)
+        nonlocal size
+        met.add(file.resolve())
+        content = read_bytes(file, LARGEST - size, "robot's description")
+        size += len(content)
         parser, times, included = expat.ParserCreate("utf-8"), [1.0], list[str]()
 
         def start(tag: str, values: dict[str, str]) -> None:
-            if len(times) == 1 and path == self.main and tag not in ROOTS:
+            """Count an element, and keep what it says of files."""
+            nonlocal elements, joints, strip
+            if len(times) == 1 and file == path and tag not in ROOTS:
                 raise InputError(
-                    f"{self.main}: it begins with neither <mujoco> nor <robot>; give an MJCF or URDF file."
+                    f"{path}: it begins with neither <mujoco> nor <robot>; give an MJCF or URDF file."
                 )
             if len(times) > MOST_DEPTH:
                 raise InputError(
-                    f"{path}: elements are nested deeper than {MOST_DEPTH}; give a robot's description."
+                    f"{file}: elements are nested deeper than {MOST_DEPTH}; give a robot's description."
                 )
             many = math.prod(_numbers(values.get("count", "1"))) if tag in REPEATED else 1.0
             times.append(times[-1] * max(many, 1.0))
-            self._element(path, tag, values, times[-1])
-            if tag in DESCRIPTIONS and "file" in values:
+            elements += times[-1]
+            joints += times[-1] if tag.endswith("joint") else 0.0
+            if elements > MOST_ELEMENTS or joints > 2 * MOST_JOINTS:  # actuators and sensors name joints, too
+                raise InputError(
+                    f"{file}: more than {MOST_ELEMENTS} elements or {MOST_JOINTS} joints, which no arm has; leave out "
+                    "what is not needed."
+                )
+            if len(values.get("name", "")) > LONGEST_NAME:
+                raise InputError(
+                    f"{file}: the name of a <{tag}> has more than {LONGEST_NAME} signs; shorten it."
+                )
+            for key, words in values.items():
+                if key not in NAMES and (odd := _senseless(key, words)):
+                    name = f" '{values['name']}'" if values.get("name") else ""
+                    raise InputError(
+                        f"{file}: '{key}' of <{tag}>{name} is {odd}, which no machine has; correct it."
+                    )
+            reserved = [n for key, words in values.items() if key != "memory" for n in _numbers(words)]
+            area = math.prod(n for key in AREAS.get(tag, ()) for n in _numbers(values.get(key, "")))
+            if area > MOST_PIXELS or (tag == "size" and max(reserved, default=0.0) > MOST_PIXELS):
+                raise InputError(
+                    f"{file}: <{tag}> asks for more than {MOST_PIXELS} entries; no arm needs that many."
+                )
+            if tag == "compiler":
+                strip = {"true": True, "false": False}.get(values.get("strippath", ""), strip)
+                for kind, key in (("texture", "texturedir"), ("mesh", "meshdir")):
+                    folders[kind] |= {values[k] for k in (key, "assetdir") if k in values}
+            if tag not in DESCRIPTIONS:
+                named.update((tag, name) for key, name in values.items() if key.startswith("file"))
+            elif "file" in values:
                 included.append(values["file"])
 
         def declared(*_: object) -> None:
-            raise InputError(f"{path}: <!DOCTYPE is not read in a robot's description; take it out.")
+            raise InputError(f"{file}: <!DOCTYPE is not read in a robot's description; take it out.")
 
         parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
         parser.EndElementHandler = lambda _: times.pop() and None
@@ -113,75 +128,38 @@ class _Walk:
             parser.Parse(content, True)
         except UnicodeDecodeError:
             raise InputError(
-                f"{path}: cannot be read (it is no text in UTF-8); give an MJCF or URDF file."
+                f"{file}: cannot be read (it is no text in UTF-8); give an MJCF or URDF file."
             ) from None
         except expat.ExpatError as error:
             raise InputError(
-                f"{path}, row {error.lineno}: no XML ({expat.ErrorString(error.code)}); give an MJCF or URDF file."
+                f"{file}, row {error.lineno}: no XML ({expat.ErrorString(error.code)}); give an MJCF or URDF file."
             ) from None
         for name in included:
             # walk through an included file, wherever MuJoCo may look for it
-            places = {folder / name for folder in (self.main.parent, path.parent)}
+            places = {folder / name for folder in (path.parent, file.parent)}
             for place in places:
-                self._inside(place, f"{path}: <include> of {name}")
+                inside(place, f"{file}: <include> of {name}")
             for place in sorted(place for place in places if place.exists()):
-                if place.resolve() in self.met:
-                    raise InputError(f"{path}: {name} is included twice or in a circle; include it once.")
-                self.file(place)
+                if place.resolve() in met:
+                    raise InputError(f"{file}: {name} is included twice or in a circle; include it once.")
+                enter(place)
 
-    def _element(self, path: Path, tag: str, values: dict[str, str], times: float) -> None:
-        """Count an element, and keep what it says of files."""
-        self.elements += times
-        self.joints += times if tag.endswith("joint") else 0.0
-        if (
-            self.elements > MOST_ELEMENTS or self.joints > 2 * MOST_JOINTS
-        ):  # actuators and sensors name joints, too
-            raise InputError(
-                f"{path}: more than {MOST_ELEMENTS} elements or {MOST_JOINTS} joints, which no arm has; leave out what "
-                "is not needed."
-            )
-        if len(values.get("name", "")) > LONGEST_NAME:
-            raise InputError(f"{path}: the name of a <{tag}> has more than {LONGEST_NAME} signs; shorten it.")
-        for key, words in values.items():
-            if key not in NAMES and (odd := _senseless(key, words)):
-                name = f" '{values['name']}'" if values.get("name") else ""
-                raise InputError(
-                    f"{path}: '{key}' of <{tag}>{name} is {odd}, which no machine has; correct it."
-                )
-        reserved = [n for key, words in values.items() if key != "memory" for n in _numbers(words)]
-        area = math.prod(n for key in AREAS.get(tag, ()) for n in _numbers(values.get(key, "")))
-        if area > MOST_PIXELS or (tag == "size" and max(reserved, default=0.0) > MOST_PIXELS):
-            raise InputError(
-                f"{path}: <{tag}> asks for more than {MOST_PIXELS} entries; no arm needs that many."
-            )
-        if tag == "compiler":
-            self.strip = {"true": True, "false": False}.get(values.get("strippath", ""), self.strip)
-            for kind, key in (("texture", "texturedir"), ("mesh", "meshdir")):
-                self.folders[kind] |= {values[k] for k in (key, "assetdir") if k in values}
-        if tag not in DESCRIPTIONS:
-            self.named |= {(tag, name) for key, name in values.items() if key.startswith("file")}
-
-    def assets(self) -> None:
-        """See that every mesh, texture and the like that is there lies below the description, and is a file."""
-        for tag, name in sorted(self.named):
-            own = name.replace("\\", "/")
-            own = own.rsplit("/", 1)[-1] if self.strip else own
-            for folder in self.folders["texture" if tag == "texture" else "mesh"]:
-                # MuJoCo steps back by the name alone, whether the folders in it are there or not
-                place = self.main.parent / os.path.normpath(Path(folder, own))
-                try:
-                    if not os.path.lexists(place):
-                        continue
-                except ValueError:  # no file can have that name
+    enter(path)
+    # every mesh, texture and the like that is there lies below the description, and is a file
+    for tag, name in sorted(named):
+        own = name.replace("\\", "/")
+        own = own.rsplit("/", 1)[-1] if strip else own
+        for folder in folders["texture" if tag == "texture" else "mesh"]:
+            # MuJoCo steps back by the name alone, whether the folders in it are there or not
+            place = path.parent / os.path.normpath(Path(folder, own))
+            try:
+                if not os.path.lexists(place):
                     continue
-                self._inside(place, f"{self.main}: the file {name} of a <{tag}>")
-                if not place.is_dir() and size_of(place) > LARGEST_MESH:
-                    raise InputError(
-                        f"{place} is larger than {LARGEST_MESH / 1e6:g} MB; give a simpler <{tag}>."
-                    )
-
-    def _inside(self, place: Path, what: str) -> None:
-        refuse_outside(place, self.main.parent, what, "bring it there, or take it out")
+            except ValueError:  # no file can have that name
+                continue
+            inside(place, f"{path}: the file {name} of a <{tag}>")
+            if not place.is_dir() and size_of(place) > LARGEST_MESH:
+                raise InputError(f"{place} is larger than {LARGEST_MESH / 1e6:g} MB; give a simpler <{tag}>.")
 
 
 def _senseless(key: str, words: str) -> str:
