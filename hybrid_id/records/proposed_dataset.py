@@ -178,7 +178,13 @@ def _parts(evidence: Evidence) -> None:
         gaps = {name: np.diff(own) / np.median(np.diff(own)) for name, own in clocks.items()}
         part, name = np.arange(time.size), max(gaps, key=lambda one: float(gaps[one].max()))
         if (most := float(gaps[name].max())) > LONGEST_GAP:
-            part = _longest_part(time, [(own, gaps[name]) for name, own in clocks.items()])
+            between, after = np.zeros(time.size, bool), np.zeros(time.size, int)
+            for one, own in clocks.items():
+                for place in np.flatnonzero(gaps[one] > LONGEST_GAP):
+                    between |= (time > own[place]) & (time < own[place + 1])
+                    after += time >= own[place + 1]
+            rows = np.flatnonzero(~between)
+            part = max(np.split(rows, np.flatnonzero(np.diff(after[rows])) + 1), key=len)
             whose = f" of '{name}'" if name else ""
             words = f"samples{whose} are missing for {most:.3g} steps; the longest part without such a gap is kept"
             _cut(proposal, k, time[part], words)
@@ -198,17 +204,6 @@ def _parts(evidence: Evidence) -> None:
             f"May gaps of up to {proposal.max_gap:g} steps be bridged by interpolation? Else cut the records there "
             "with 'between'."
         )
-
-
-def _longest_part(time: np.ndarray, clocks: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """The longest run of rows that lie in no long gap of any clock; each clock is its stamps and its relative steps."""
-    inside, after = np.zeros(time.size, bool), np.zeros(time.size, int)
-    for own, steps in clocks:
-        for k in np.flatnonzero(steps > LONGEST_GAP):
-            inside |= (time > own[k]) & (time < own[k + 1])
-            after += time >= own[k + 1]
-    rows = np.flatnonzero(~inside)
-    return max(np.split(rows, np.flatnonzero(np.diff(after[rows])) + 1), key=len)
 
 
 def _clear_of_stops(evidence: Evidence, k: int, part: np.ndarray) -> np.ndarray:
@@ -300,7 +295,12 @@ def _groups(
             groups.setdefault(one.joint, []).append(one)
     keys = [key for key in groups if any(evidence.moves(one.name) for one in groups[key])]
     common = groups.pop("", [])
-    named = [key for key in keys if key and any(_is_output(one) for one in groups[key])]
+    outputs = {  # whose name makes it an angle or a speed, or the measured state of a joint
+        one.name
+        for one in words.values()
+        if not one.command and (one.kind in ("angle", "speed") or (not one.kind and one.measured))
+    }
+    named = [key for key in keys if key and any(one.name in outputs for one in groups[key])]
     if not named:  # one joint, whatever its columns are called
         return {"": [*common, *(one for some in groups.values() for one in some)]}
     rest = {
@@ -374,11 +374,6 @@ def _followed(
         if related[found[-1]] < RELATED:
             return None
     return found if len(set(found)) == len(found) else None
-
-
-def _is_output(one: ColumnWords) -> bool:
-    """Whether a column's name makes it an angle or a speed, or the measured state of a joint."""
-    return not one.command and (one.kind in ("angle", "speed") or (not one.kind and one.measured))
 
 
 def _place(

@@ -104,7 +104,14 @@ def library(source: str, names: tuple[str, ...], flags: Sequence[str] = FLAGS) -
             if done.returncode == 0:
                 if kept is not None:
                     with contextlib.suppress(OSError):  # a cache that cannot be written to is no cache
-                        _put(built, kept)
+                        # with its digest: others, and those after a loss of power, see both whole or none
+                        content = built.read_bytes()
+                        write_together({kept: content, kept.with_suffix(DIGEST): _digest(content)})
+                        if (
+                            len(os.listdir(kept.parent)) > 2 * MOST_KEPT
+                        ):  # the older half; who has loaded one keeps it
+                            for old in sorted(kept.parent.iterdir(), key=os.path.getmtime)[:MOST_KEPT]:
+                                old.unlink(missing_ok=True)
                 # the new file first: under the kept one's name the loader may still know a library without the names
                 for path in (built, kept):
                     if path is not None and (made := _loaded(path, names)) is not None:
@@ -219,15 +226,6 @@ def _name(source: str, compiler: str, flags: Sequence[str]) -> str:
 
 def _key(*parts: str) -> str:
     return hashlib.sha256("\0".join((_machine(), *parts)).encode()).hexdigest()[:32]
-
-
-def _put(built: Path, kept: Path) -> None:
-    """Keep a library with its digest: other processes, and later ones after a loss of power, see both whole or none."""
-    content = built.read_bytes()
-    write_together({kept: content, kept.with_suffix(DIGEST): _digest(content)})
-    if len(os.listdir(kept.parent)) > 2 * MOST_KEPT:  # the older half; who has loaded one of them keeps it
-        for old in sorted(kept.parent.iterdir(), key=os.path.getmtime)[:MOST_KEPT]:
-            old.unlink(missing_ok=True)
 
 
 def address(code: ctypes.CDLL, name: str) -> int:
