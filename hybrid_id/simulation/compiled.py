@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from ctypes import CDLL
 from dataclasses import replace
 from importlib import resources
+from pathlib import Path
 from string import Template
 from typing import cast
 from weakref import WeakKeyDictionary
@@ -209,11 +210,15 @@ def _is_ours(system: System) -> bool:
 @functools.cache
 def _program() -> str:
     """Digest of all that decides the code of a structure of ours: this package's equations, and PyTorch's version."""
-    digest, package = hashlib.sha256(torch.__version__.encode()), resources.files("hybrid_id")
-    folders = ("components", "robots", "simulation", "systems")
-    files = [file for folder in folders for file in package.joinpath(folder).iterdir() if file.is_file()]
-    for file in sorted([*files, package.joinpath("parameters.py")], key=lambda file: file.name):
-        digest.update(file.read_bytes())
+    digest, package = hashlib.sha256(torch.__version__.encode()), Path(__file__).parents[1]
+    files = [
+        file
+        for folder in ("components", "robots", "simulation", "systems")
+        for file in (package / folder).rglob("*.*")
+    ]
+    for file in sorted([*files, package / "parameters.py"]):
+        if file.suffix != ".pyc":
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

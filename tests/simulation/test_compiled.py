@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -314,6 +316,29 @@ def test_a_later_run_neither_records_nor_compiles(
     again = run()
     assert torch.equal(again, first)
     assert len(recorded) == 1 + (damage is not None)
+
+
+def test_a_law_that_was_changed_is_compiled_anew(tmp_path: Path) -> None:
+    shutil.copytree(Path(compiled_engine.__file__).parents[1], tmp_path / "hybrid_id")
+    script = (
+        "from drives import rigid_drive, run\nfrom hybrid_id import Engine\nimport numpy as np\n"
+        "system = rigid_drive().with_values({'F_v': 1e-3})\n"
+        "print(run(system, {'u1': np.ones(50)}, engine=Engine(compiled=True))['v_m1'][-1])"
+    )
+    paths = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1])])
+    known = os.environ | {
+        "PYTHONPATH": paths,
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+
+    def speed() -> float:
+        found = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=known, capture_output=True)
+        return float(found.stdout)
+
+    before, law = speed(), tmp_path / "hybrid_id" / "components" / "friction" / "viscous.py"
+    law.write_text(law.read_text().replace("return p.F_v * speed", "return 3.0 * p.F_v * speed"))
+    assert speed() < 0.9 * before
 
 
 def test_a_component_of_ones_own_is_recorded_by_every_run(monkeypatch: pytest.MonkeyPatch) -> None:
