@@ -14,7 +14,7 @@ from hybrid_id.machines.arm import Arm, draw_arm
 from hybrid_id.machines.case import Case, Graded, Part, level_of, short
 from hybrid_id.machines.draw import DOMINANT, IMITATED, TWICE
 from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
-from hybrid_id.machines.effects.arm import ArmEffect, LinkMass, Nameless
+from hybrid_id.machines.effects.arm import ArmEffect, ArmOutside, LinkMass
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.experiments import Campaign
 from hybrid_id.machines.joint import SAMPLE, JointTrials, Loads, Masses, Moved
@@ -65,11 +65,16 @@ def draw_arm_case(
         lead = kinds[rng.integers(len(kinds))].draw(rng, arm, int(rng.integers(joints)))  # type: ignore[arg-type]
     small: list[list[Effect]] = [[] for _ in range(joints)]
     if lead:
-        mild = [k for kinds in CATALOGUE.values() for k in kinds if issubclass(k, ArmEffect) and k.fits(arm)]
+        mild = [
+            k
+            for kinds in CATALOGUE.values()
+            for k in kinds
+            if issubclass(k, ArmEffect) and k.small and k.fits(arm)
+        ]
         grown, about = float(np.exp(rng.uniform(*np.log(GROWN)))), (lead.name, lead.joint)
         for k in range(joints):
-            ones = [kind.small(rng, arm, k, grown) for kind in mild]
-            small[k] = [one for one in ones if one and (one.name, one.joint) != about]
+            milder = [kind.draw_small(rng, arm, k, grown) for kind in mild]
+            small[k] = [effect for effect in milder if (effect.name, effect.joint) != about]
     effects = [*(one for own in small for one in own), *([lead] if lead else [])]
     spread = rng.uniform(*SPREAD, (joints, 1))
     drift = 1.0 + spread * np.clip(rng.standard_normal((joints, TRAIN + 1)), -2.0, 2.0)
@@ -216,7 +221,7 @@ def _moved(arm: Arm, effects: Sequence[Effect], drift: np.ndarray, campaign: Cam
         volts, measured = run(
             machine, campaign.program, campaign.encoders, sample_time=SAMPLE, rest=0.0, start=start, slope=1
         )
-    laws = [law for drive in machine.drives for law in drive.rotor_laws if isinstance(law, Nameless)]
+    laws = [law for drive in machine.drives for law in drive.rotor_laws if isinstance(law, ArmOutside)]
     trace = np.array([np.zeros_like(volts[:, 0]), np.ones_like(volts[:, 0])])
     for law in laws:
         trace = trace if law.trace is None else law.trace

@@ -1,11 +1,12 @@
 """What an effect is: a name, a place, values, and what it does to a machine."""
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
+from hybrid_id.machines.physics.law import InputLaw, Lanes, Law
 from hybrid_id.machines.physics.machine import Drive, Machine
 from hybrid_id.machines.physics.transmission import Spring
 from hybrid_id.machines.robots import Robot
@@ -18,14 +19,23 @@ CATALOGUE: dict[str, list[type["Effect"]]] = {}
 OUTSIDE: list[type["Effect"]] = []
 """Effects that the catalogue has no name for."""
 
+Draw = Callable[[np.random.Generator, Any, int], Any]
+"""Draws a value of an effect at a joint of a robot, or an arm."""
+Unit = Callable[[Any, int], Any]
+"""A size that suits a joint of a robot, or an arm."""
 
-class Effect:
-    """One effect at one joint, in one formula; a subclass is a formula.
+
+class Effect(Law, InputLaw, Spring):
+    """One effect at one joint, in one formula; a subclass with a place is a formula.
+
+    A formula is a law of the package's physics (`made`), a law itself that overrides `act` of a rotor or link, `volts`
+    of an amplifier or `torque` of a gear's spring, or it alters the robot or the machine.
 
     Attributes:
         name: as in the table of names; `unknown` outside the catalogue.
         place: in the drive's chain.
         systems: where it can be met.
+        drawn: how each of `values` is drawn, in plausible size.
         sized: keys of `values` that grow with the effect.
         size_keys: key of `values` -> name in the ground truth.
         shapes: keys of `values`, beside the sized ones, that a re-fit may move.
@@ -34,7 +44,9 @@ class Effect:
         replaces: whether it takes the place of a part of the drive: of size zero it is not gone.
         formula: what the ground truth calls it, and who asks for this formula alone; the name of the class by default.
         alias: a second name of the catalogue and its place that mean the same.
-        memory: states (B,) of an effect that is a law itself, zero at rest.
+        made, options: the law that it adds, called with its values, and further arguments.
+        memory: states (B,) of an effect that is a law itself, each with `_` before its name, zero at rest.
+        robot: that a law acts on.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -42,6 +54,7 @@ class Effect:
     name: ClassVar[str]
     place: ClassVar[str]
     systems: ClassVar[tuple[str, ...]] = ("one_link", "one_link_flexible", "two_link")
+    drawn: ClassVar[Mapping[str, Draw]] = {}
     sized: ClassVar[tuple[str, ...]]
     size_keys: ClassVar[Mapping[str, str]] = {}
     shapes: ClassVar[tuple[str, ...]] = ()
@@ -50,17 +63,17 @@ class Effect:
     replaces: ClassVar[bool] = False
     formula: ClassVar[str]
     alias: ClassVar[tuple[str, str] | None] = None
+    made: ClassVar[Any] = None
+    options: ClassVar[Mapping[str, Any]] = {}
     memory: ClassVar[tuple[str, ...]] = ()
+    robot: Any
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if "formula" not in cls.__dict__:
             cls.formula = cls.__name__
-        if "draw" in cls.__dict__ or "place" in cls.__dict__:
-            if cls.name == UNKNOWN:
-                OUTSIDE.append(cls)
-            else:
-                CATALOGUE.setdefault(cls.name, []).append(cls)
+        if hasattr(cls, "place"):
+            (OUTSIDE if cls.name == UNKNOWN else CATALOGUE.setdefault(cls.name, [])).append(cls)
 
     def __init__(self, joint: int, values: Mapping[str, Any]) -> None:
         self.joint = joint
@@ -69,7 +82,7 @@ class Effect:
     @classmethod
     def draw(cls, rng: np.random.Generator, robot: Any, joint: int) -> Self:
         """An effect of plausible size for a robot, or an arm."""
-        raise NotImplementedError
+        return cls(joint, {key: draw(rng, robot, joint) for key, draw in cls.drawn.items()})
 
     @classmethod
     def fits(cls, robot: Any) -> bool:
@@ -104,29 +117,27 @@ class Effect:
         """The robot with the effect, where it is a parameter that the nominal model lacks."""
         return robot
 
-    def act(self, push: Push, x: Signals, m: Any) -> None:
-        """What an effect that is a law itself adds at its place; `m` has its memory, each with `_`, and the `robot`."""
+    def start(self, lanes: int) -> None:
+        """Set the memory of B runs to rest."""
+        for name in self.memory:
+            setattr(self, f"_{name}", np.zeros(lanes))
 
-    def volts(self, volts: np.ndarray, x: Signals, m: Any) -> np.ndarray:
-        """What an effect that is a law of the amplifier itself makes of a voltage (B,) [V]; `m` as above."""
-        return volts
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float, m: Any) -> np.ndarray:
-        """Torque on the link (B,) [N m] of an effect that is a gear's spring itself; `m` as above."""
-        raise NotImplementedError
-
-    def law(self, robot: Any) -> Law | InputLaw | None:
-        """The law that it adds at its place, itself if it acts; None where it is a parameter, or replaces a part."""
-        if type(self).volts is not Effect.volts:
-            return ActingInput(self, robot)
-        return Acting(self, robot) if type(self).act is not Effect.act else None
+    def law(self, robot: Any) -> Any:
+        """The law that it adds."""
+        if self.made is not None:
+            return self.made(*self.values.values(), **self.options)
+        law = copy.copy(self)
+        law.robot = robot
+        return law
 
     def install(self, machine: Machine, robot: Any) -> None:
         """Build the effect into a machine, in place."""
-        law, drive = self.law(robot), self.drive(machine)
-        if isinstance(law, InputLaw):
+        law, drive, kind = self.law(robot), self.drive(machine), type(self)
+        if kind.torque is not Spring.torque:
+            drive.spring = law
+        elif kind.volts is not InputLaw.volts:
             drive.amplifier.append(law)
-        elif law is not None:
+        elif law.act.__func__ is not Law.act:
             (drive.link_laws if self.place in ("load", "link_friction") else drive.rotor_laws).append(law)
 
     def drive(self, machine: Machine) -> Drive:
@@ -134,41 +145,29 @@ class Effect:
         return machine.drives[self.joint if len(machine.drives) > 1 else 0]
 
 
-class _WithMemory:
-    """An effect that is a law itself, the robot that it acts on, and its memory."""
+def uniform(
+    low: float, high: float, unit: Unit | None = None, *, either: bool = False, log: bool = False
+) -> Draw:
+    """Draws a number between two limits, in a unit, of either sign, evenly on a linear or a logarithmic scale."""
 
-    def __init__(self, effect: Effect, robot: Any) -> None:
-        self.effect: Any = effect
-        self.robot = robot
+    def draw(rng: np.random.Generator, robot: Any, joint: int) -> Any:
+        side = rng.choice([-1, 1]) if either else 1
+        size = side * (1.0 if unit is None else unit(robot, joint))
+        return size * (
+            float(np.exp(rng.uniform(np.log(low), np.log(high)))) if log else rng.uniform(low, high)
+        )
 
-    def start(self, lanes: int) -> None:
-        """Set the memory of B runs to rest."""
-        for name in self.effect.memory:
-            setattr(self, f"_{name}", np.zeros(lanes))
-
-
-class Acting(_WithMemory, Law):
-    """An effect as a law."""
-
-    def act(self, push: Push, x: Signals) -> None:
-        """Add what the effect contributes."""
-        self.effect.act(push, x, self)
+    return draw
 
 
-class ActingInput(_WithMemory, InputLaw):
-    """An effect as a law of the amplifier."""
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        """Voltage behind the effect (B,) [V]."""
-        return self.effect.volts(volts, x, self)
+def choice(values: Sequence[float]) -> Draw:
+    """Draws one of several numbers."""
+    return lambda rng, robot, joint: float(rng.choice(values))
 
 
-class ActingSpring(_WithMemory, Spring):
-    """An effect as the spring of a gear."""
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        """Torque on the link (B,) [N m]."""
-        return self.effect.torque(twist, rate, step, self)
+def supply(rng: np.random.Generator, robot: Robot, joint: int) -> float:
+    """Voltage that the amplifier is built for [V], as a value."""
+    return robot.supply
 
 
 def stall(robot: Robot, joint: int) -> Any:
@@ -180,6 +179,11 @@ def dry(robot: Robot, joint: int) -> Any:
     """A dry friction that suits the joint [N m]: its own, or a few per cent of the stall torque."""
     own = np.asarray(robot.value(joint, "F_c"))
     return np.where(own > 0, own, 0.03 * stall(robot, joint))[()]
+
+
+def dry_at_link(robot: Robot, joint: int) -> Any:
+    """The same behind the gear [N m]."""
+    return dry(robot, joint) * robot.ratio[joint]
 
 
 def fast(robot: Robot, joint: int) -> Any:

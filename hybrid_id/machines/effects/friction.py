@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import Acting, Effect, dry, fast
+from hybrid_id.machines.effects.base import Effect, choice, dry, dry_at_link, fast, uniform
 from hybrid_id.machines.physics.friction import (
     Coulomb,
     Dahl,
@@ -14,7 +14,6 @@ from hybrid_id.machines.physics.friction import (
     Stribeck,
     Uneven,
 )
-from hybrid_id.machines.robots import log_uniform
 
 
 def without(drive, kind):
@@ -28,10 +27,7 @@ class WithheldCoulomb(Effect):
     """Dry friction of the motor that the nominal model does without."""
 
     name, place, sized, size_keys = "coulomb_friction", "motor_friction", ("F_c",), {"F_c": "newton_metres"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"F_c": dry(robot, joint) * rng.uniform(0.7, 1.5)})
+    drawn = {"F_c": uniform(0.7, 1.5, dry)}
 
     def alter(self, robot):
         name = robot.name(self.joint, "F_c")
@@ -41,14 +37,13 @@ class WithheldCoulomb(Effect):
 class WithheldSmoothCoulomb(WithheldCoulomb):
     """The same as a steep smooth law, ``F_c tanh(v / 0.4)``, which creeps where a set-valued one sticks."""
 
-    place, replaces = "motor_friction", True
+    replaces = True
 
     def install(self, machine, robot):
-        drive = self.drive(machine)
-        without(drive, Coulomb)
-        drive.rotor_laws.append(Acting(self, robot))
+        without(self.drive(machine), Coulomb)
+        super().install(machine, robot)
 
-    def act(self, push, x, m):
+    def act(self, push, x):
         ratio = np.abs(x.v_m) / 0.4
         secant = np.where(ratio > 1e-6, np.tanh(ratio) / np.maximum(ratio, 1e-6), 1.0)
         push.slope = push.slope + self.values["F_c"] / 0.4 * secant
@@ -57,20 +52,10 @@ class WithheldSmoothCoulomb(WithheldCoulomb):
 class LinkCoulomb(Effect):
     """Dry friction of the link's bearing behind a flexible gear."""
 
-    name, place, sized, size_keys = (
-        "coulomb_friction",
-        "link_friction",
-        ("F_c",),
-        {"F_c": "newton_metres_link"},
-    )
-    systems = ("one_link_flexible",)
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"F_c": dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.2)})
-
-    def law(self, robot):
-        return Coulomb(self.values["F_c"])
+    name, place, sized, systems = "coulomb_friction", "link_friction", ("F_c",), ("one_link_flexible",)
+    size_keys = {"F_c": "newton_metres_link"}
+    drawn = {"F_c": uniform(0.3, 1.2, dry_at_link)}
+    made = Coulomb
 
 
 class WithheldLinkViscous(Effect):
@@ -78,10 +63,7 @@ class WithheldLinkViscous(Effect):
 
     name, place, sized = "viscous_friction", "link_friction", ("F_va",)
     systems, size_keys = ("one_link_flexible",), {"F_va": "newton_metre_seconds_link"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"F_va": robot.values["F_va"] * rng.uniform(1.0, 4.0)})
+    drawn = {"F_va": uniform(1.0, 4.0, lambda robot, joint: robot.values["F_va"])}
 
     def alter(self, robot):
         return robot.with_values({"F_va": self.values["F_va"]}, withheld=True)
@@ -93,28 +75,20 @@ class StribeckGaussian(Effect):
     name, place, sized = "stribeck_friction", "motor_friction", ("drop",)
     size_keys = {"drop": "newton_metres_above_coulomb", "v_s": "rad_per_second"}
     shapes = ("v_s",)
-    shape = "gaussian"
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(
-            joint, {"drop": dry(robot, joint) * rng.uniform(0.2, 1.0), "v_s": log_uniform(rng, 4.0, 40.0)}
-        )
-
-    def law(self, robot):
-        return Stribeck(self.values["drop"], self.values["v_s"], self.shape)
+    drawn = {"drop": uniform(0.2, 1.0, dry), "v_s": uniform(4.0, 40.0, log=True)}
+    made = Stribeck
 
 
 class StribeckExponential(StribeckGaussian):
     """The same, exponential in the speed."""
 
-    place, shape = "motor_friction", "exponential"
+    options = {"shape": "exponential"}
 
 
 class StribeckLorentzian(StribeckGaussian):
     """The same, with a long tail."""
 
-    place, shape = "motor_friction", "lorentzian"
+    options = {"shape": "lorentzian"}
 
 
 class UnevenDry(Effect):
@@ -123,10 +97,7 @@ class UnevenDry(Effect):
     name, place, sized = "asymmetric_friction", "motor_friction", ("excess",)
     size_keys = {"excess": "newton_metres_difference"}
     signed = ("excess", "slope")
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"excess": rng.choice([-1, 1]) * dry(robot, joint) * rng.uniform(0.2, 0.9)})
+    drawn = {"excess": uniform(0.2, 0.9, dry, either=True)}
 
     def law(self, robot):
         # at most 1.9 times the level itself, so that friction opposes motion both ways
@@ -138,7 +109,7 @@ class UnevenDry(Effect):
 class UnevenBoth(UnevenDry):
     """Dry and viscous friction that differ with the direction."""
 
-    place, sized = "motor_friction", ("excess", "slope")
+    sized = ("excess", "slope")
     size_keys = {"excess": "newton_metres_difference", "slope": "newton_metre_seconds_difference"}
 
     @classmethod
@@ -154,37 +125,25 @@ class PreslidingDahl(Effect):
 
     name, place, sized = "presliding_friction", "motor_friction", ("deflection",)
     size_keys, replaces = {"deflection": "rad_of_deflection"}, True
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"deflection": log_uniform(rng, 0.3, 4.0)})
+    drawn = {"deflection": uniform(0.3, 4.0, log=True)}
+    made = Dahl
 
     def install(self, machine, robot):
         drive = self.drive(machine)
         level = without(drive, Coulomb).F_c
-        drive.rotor_laws.append(self.with_memory(level, level / self.values["deflection"]))
-
-    def with_memory(self, level, stiffness):
-        """The law with memory that takes Coulomb's place."""
-        return Dahl(level, stiffness)
+        drive.rotor_laws.append(self.made(level, level / self.values["deflection"]))
 
 
 class PreslidingLuGre(PreslidingDahl):
     """LuGre's bristles with a little damping of their own."""
 
-    place = "motor_friction"
-
-    def with_memory(self, level, stiffness):
-        return LuGre(level, stiffness, damping=0.01 * stiffness)
+    made = LuGre
 
 
 class PreslidingMaxwell(PreslidingDahl):
     """Springs that slide one after the other."""
 
-    place = "motor_friction"
-
-    def with_memory(self, level, stiffness):
-        return MaxwellSlip(level, stiffness)
+    made = MaxwellSlip
 
 
 class MotorDrag(Effect):
@@ -192,13 +151,8 @@ class MotorDrag(Effect):
 
     name, place, sized = "quadratic_drag", "motor_friction", ("F",)
     size_keys = {"F": "newton_metre_seconds2"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"F": dry(robot, joint) * rng.uniform(0.3, 2.0) / fast(robot, joint) ** 2})
-
-    def law(self, robot):
-        return Power(self.values["F"])
+    drawn = {"F": uniform(0.3, 2.0, lambda robot, joint: dry(robot, joint) / fast(robot, joint) ** 2)}
+    made = Power
 
 
 class LinkDrag(Effect):
@@ -206,40 +160,32 @@ class LinkDrag(Effect):
 
     name, place, sized = "quadratic_drag", "link_friction", ("F",)
     systems, size_keys = ("one_link_flexible",), {"F": "newton_metre_seconds2_link"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        speed = fast(robot, joint) / robot.ratio[joint]
-        return cls(joint, {"F": dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 2.0) / speed**2})
-
-    def law(self, robot):
-        return Power(self.values["F"], on_link=True)
+    drawn = {
+        "F": uniform(
+            0.3,
+            2.0,
+            lambda robot, joint: dry(robot, joint) * robot.ratio[joint] ** 3 / fast(robot, joint) ** 2,
+        )
+    }
+    made, options = Power, {"on_link": True}
 
 
 class LoadFriction(Effect):
     """Dry friction with the torque that the gear carries."""
 
-    name, place, sized, size_keys = (
-        "load_dependent_friction",
-        "motor_friction",
-        ("mu",),
-        {"mu": "share_of_torque"},
-    )
+    name, place, sized = "load_dependent_friction", "motor_friction", ("mu",)
+    size_keys = {"mu": "share_of_torque"}
+    drawn = {"mu": uniform(0.05, 0.3)}
     by_effort = False
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"mu": rng.uniform(0.05, 0.3)})
-
     def law(self, robot):
-        mu = np.minimum(self.values["mu"], 0.6)
-        return LoadDependent(mu, self.by_effort)
+        return LoadDependent(np.minimum(self.values["mu"], 0.6), self.by_effort)
 
 
 class EffortFriction(LoadFriction):
     """Dry friction with the torque of the motor."""
 
-    place, by_effort = "motor_friction", True
+    by_effort = True
 
 
 class AngleFriction(Effect):
@@ -248,39 +194,23 @@ class AngleFriction(Effect):
     name, place, sized = "position_dependent_friction", "motor_friction", ("amplitude",)
     size_keys = {"amplitude": "newton_metres", "periods": "periods_per_joint_turn"}
     shapes, signed = ("periods", "phase"), ("phase",)
-    spot = False
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(
-            joint,
-            {
-                "amplitude": dry(robot, joint) * rng.uniform(0.3, 1.2),
-                "periods": float(rng.integers(1, 9)),
-                "phase": rng.uniform(0, 2 * np.pi),
-            },
-        )
-
-    def law(self, robot):
-        v = self.values
-        return PositionDependent(v["amplitude"], v["periods"], v["phase"], self.spot)
+    drawn = {
+        "amplitude": uniform(0.3, 1.2, dry),
+        "periods": choice(range(1, 9)),
+        "phase": uniform(0, 2 * np.pi),
+    }
+    made = PositionDependent
 
 
 class TightSpot(AngleFriction):
     """Dry friction in one narrow range of the joint's angle."""
 
-    place, spot = "motor_friction", True
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(
-            joint,
-            {
-                "amplitude": dry(robot, joint) * rng.uniform(0.5, 2.0),
-                "periods": rng.uniform(3.0, 8.0),
-                "phase": rng.uniform(-0.3, 0.3),
-            },
-        )
+    drawn = {
+        "amplitude": uniform(0.5, 2.0, dry),
+        "periods": uniform(3.0, 8.0),
+        "phase": uniform(-0.3, 0.3),
+    }
+    options = {"spot": True}
 
 
 class LinkAngleFriction(AngleFriction):

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import Effect, dry
+from hybrid_id.machines.effects.base import Effect, dry, dry_at_link, uniform
 from hybrid_id.machines.physics.law import Lanes
 from hybrid_id.machines.physics.load import ConstantTorque, Gravity, RestSpring
-from hybrid_id.machines.robots import log_uniform
 
 GRAVITY = 9.81
 LINK = ("one_link", "one_link_flexible")
@@ -19,15 +18,13 @@ class Unbalance(Effect):
     name, place, sized, systems = "gravity_load", "load", ("G",), LINK
     size_keys = {"G": "newton_metres_link_or_sine_of_tilt"}
     shapes, signed = ("q_0",), ("q_0",)
+    made = Gravity
 
     @classmethod
     def draw(cls, rng, robot, joint):
-        G = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.2, 1.0)
+        G = dry_at_link(robot, joint) * rng.uniform(0.2, 1.0)
         aside = rng.choice([-1, 1]) * rng.uniform(0.8, 2.3)
         return cls(joint, {"G": G, "q_0": aside if robot.vertical else rng.uniform(-np.pi, np.pi)})
-
-    def law(self, robot):
-        return Gravity(self.values["G"], self.values["q_0"])
 
 
 class Tilt(Effect):
@@ -61,12 +58,8 @@ class Hose(Effect):
     name, place, sized = "spring_load", "load", ("k",)
     size_keys = {"k": "newton_metres_per_rad_link", "rest": "rest_rad"}
     shapes, signed = ("rest",), ("rest",)
+    drawn = {"k": uniform(0.3, 1.5, dry_at_link), "rest": uniform(-0.5, 0.5)}
     cubic = 0.0
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        k = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.5)
-        return cls(joint, {"k": k, "rest": rng.uniform(-0.5, 0.5)})
 
     def law(self, robot):
         k = self.values["k"]
@@ -76,7 +69,7 @@ class Hose(Effect):
 class StiffeningHose(Hose):
     """The same, stiffer when it is drawn out."""
 
-    place, cubic = "load", 0.3
+    cubic = 0.3
 
 
 class Bias(Effect):
@@ -84,11 +77,7 @@ class Bias(Effect):
 
     name, place, sized, size_keys = "constant_torque", "load", ("bias",), {"bias": "newton_metres"}
     signed = ("bias",)
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        size = rng.choice([-1, 1]) * dry(robot, joint) * log_uniform(rng, 0.08, 0.6)
-        return cls(joint, {"bias": size})
+    drawn = {"bias": uniform(0.08, 0.6, dry, either=True, log=True)}
 
     def install(self, machine, robot):
         most = 0.95 * dry(robot, self.joint)  # the joint still starts at rest

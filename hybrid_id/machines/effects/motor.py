@@ -2,19 +2,15 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import Effect, dry, stall
+from hybrid_id.machines.effects.base import Effect, choice, dry, stall, supply, uniform
 from hybrid_id.machines.physics.motor import Cogging, Delay
-from hybrid_id.machines.robots import log_uniform
 
 
 class InputDelay(Effect):
     """Dead time before the amplifier."""
 
     name, place, sized, size_keys = "delay", "input", ("delay",), {"delay": "seconds"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"delay": log_uniform(rng, 0.003, 0.012)})
+    drawn = {"delay": uniform(0.003, 0.012, log=True)}
 
     def install(self, machine, robot):
         self.drive(machine).amplifier.insert(0, Delay(self.values["delay"]))
@@ -23,7 +19,6 @@ class InputDelay(Effect):
 class MeasurementDelay(InputDelay):
     """Dead time behind the only encoder: the same from outside, up to what a controller makes of it."""
 
-    place = "input"
     systems = ("one_link", "one_link_flexible")
 
     @classmethod
@@ -38,14 +33,10 @@ class Threshold(Effect):
     """Nothing below a threshold, the whole command above it."""
 
     name, place, sized = "voltage_deadband", "input", ("volts",)
+    drawn = {"volts": uniform(0.4, 1.5, lambda robot, joint: dry(robot, joint) / robot.value(joint, "P_m1"))}
     shift = 0.0
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        breakaway = dry(robot, joint) / robot.value(joint, "P_m1")
-        return cls(joint, {"volts": breakaway * rng.uniform(0.4, 1.5)})
-
-    def volts(self, volts, x, m):
+    def volts(self, volts, x):
         size, threshold = np.abs(volts), self.values["volts"]
         return np.where(size > threshold, np.sign(volts) * (size - self.shift * threshold), 0.0)
 
@@ -53,7 +44,6 @@ class Threshold(Effect):
 class DeadZone(Threshold):
     """Nothing below a threshold, the command less the threshold above it."""
 
-    place = "input"
     shift = 1.0
 
 
@@ -61,10 +51,7 @@ class HardLimit(Effect):
     """A supply below the largest commands, which cuts them."""
 
     name, place, sized, size_keys = "voltage_saturation", "input", ("excess",), {"volts": "volts"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"excess": rng.uniform(0.5, 2.0), "supply": robot.supply})
+    drawn = {"excess": uniform(0.5, 2.0), "supply": supply}
 
     @property
     def limit(self):
@@ -74,16 +61,16 @@ class HardLimit(Effect):
     def size(self):
         return Effect(self.joint, {"volts": self.limit}).size()
 
-    def volts(self, volts, x, m):
+    def volts(self, volts, x):
         return np.clip(volts, -self.limit, self.limit)
 
 
 class SoftLimit(HardLimit):
     """The same, neared gradually: ``u / (1 + |u / limit|^8)^(1/8)``."""
 
-    place, replaces = "input", True
+    replaces = True
 
-    def volts(self, volts, x, m):
+    def volts(self, volts, x):
         return volts / (1 + np.abs(volts / self.limit) ** 8.0) ** (1 / 8.0)
 
 
@@ -95,16 +82,15 @@ class WeakSupply(Effect):
     """
 
     name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
+    drawn = {
+        "sag": uniform(0.1, 0.5, lambda robot, joint: robot.supply / stall(robot, joint)),
+        "supply": supply,
+    }
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        sag = rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)
-        return cls(joint, {"sag": sag, "supply": robot.supply})
-
-    def volts(self, volts, x, m):
+    def volts(self, volts, x):
         v = self.values
         # beyond it the voltage that is left swings from step to step
-        most = 0.9 / m.robot.value(self.joint, "P_m1")
+        most = 0.9 / self.robot.value(self.joint, "P_m1")
         return volts - np.minimum(v["sag"], most) * (volts / v["supply"]) ** 2 * x.effort
 
 
@@ -112,10 +98,7 @@ class WindingLag(Effect):
     """First-order lag of the current, L / R."""
 
     name, place, sized, size_keys = "electrical_lag", "motor", ("lag",), {"lag": "seconds"}
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"lag": log_uniform(rng, 0.002, 0.012)})
+    drawn = {"lag": uniform(0.002, 0.012, log=True)}
 
     def install(self, machine, robot):
         self.drive(machine).motor.lag = self.values["lag"]
@@ -127,33 +110,25 @@ class CoggingTorque(Effect):
     name, place, sized = "cogging", "motor", ("amplitude",)
     size_keys = {"amplitude": "newton_metres", "periods": "periods_per_turn"}
     shapes, signed = ("phase",), ("phase",)
+    drawn = {
+        "amplitude": uniform(0.3, 1.5, dry),
+        "periods": choice([1, 2, 4, 6, 8, 12]),
+        "phase": uniform(0, 2 * np.pi),
+    }
     overtone = 0.0
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(
-            joint,
-            {
-                "amplitude": dry(robot, joint) * rng.uniform(0.3, 1.5),
-                "periods": float(rng.choice([1, 2, 4, 6, 8, 12])),
-                "phase": rng.uniform(0, 2 * np.pi),
-            },
-        )
 
     def law(self, robot):
         v = self.values
-        amplitudes, periods, phases = (v["amplitude"],), (v["periods"],), (v["phase"],)
-        if self.overtone:
-            amplitudes += (self.overtone * v["amplitude"],)
-            periods += (2 * v["periods"],)
-            phases += (2.7 * v["phase"],)
-        return Cogging(amplitudes, periods, phases)
+        return Cogging(
+            (v["amplitude"], self.overtone * v["amplitude"]),
+            (v["periods"], 2 * v["periods"]),
+            (v["phase"], 2.7 * v["phase"]),
+        )
 
 
 class CoggingWithOvertone(CoggingTorque):
     """The same with a second harmonic of a third: no magnet is a sine."""
 
-    place = "motor"
     overtone = 0.33
 
 
@@ -163,10 +138,7 @@ class Warming(Effect):
     name, place, sized = "thermal_derating", "motor", ("rise",)
     size_keys = {"rise": "relative_rise_of_resistance", "cooling": "seconds_of_cooling"}
     shapes = ("cooling",)
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"rise": rng.uniform(0.2, 0.8), "cooling": log_uniform(rng, 3.0, 30.0)})
+    drawn = {"rise": uniform(0.2, 0.8), "cooling": uniform(3.0, 30.0, log=True)}
 
     def install(self, machine, robot):
         motor, v = self.drive(machine).motor, self.values

@@ -2,8 +2,16 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import UNKNOWN, ActingSpring, Effect, dry, fast, link_inertia
-from hybrid_id.machines.robots import log_uniform
+from hybrid_id.machines.effects.base import (
+    UNKNOWN,
+    Effect,
+    choice,
+    dry,
+    dry_at_link,
+    fast,
+    link_inertia,
+    uniform,
+)
 
 RESTING = 0.1
 """Time at the start of each record before the frame is shaken [s]."""
@@ -19,12 +27,9 @@ class GrowingFriction(Outside):
     """Dry friction that grows as ``F (1 - exp(-t / T))`` in each record: grease that stiffens, a gear that warms."""
 
     place, sized = "motor_friction", ("F",)
+    drawn = {"F": uniform(0.5, 2.0, dry), "T": uniform(2.0, 8.0)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"F": dry(robot, joint) * rng.uniform(0.5, 2.0), "T": rng.uniform(2.0, 8.0)})
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         push.dry(self.values["F"] * (1 - np.exp(-np.maximum(x.time, 0.0) / self.values["T"])))
 
 
@@ -39,9 +44,9 @@ class ThinningGrease(Outside):
         F = dry(robot, joint) * rng.uniform(0.5, 2.0) / speed
         return cls(joint, {"F": F, "E_0": F * speed**2 * rng.uniform(0.2, 1.0)})
 
-    def act(self, push, x, m):
-        slope = self.values["F"] / (1 + m._work / self.values["E_0"])
-        m._work = m._work + x.step * slope * x.v_m**2
+    def act(self, push, x):
+        slope = self.values["F"] / (1 + self._work / self.values["E_0"])
+        self._work = self._work + x.step * slope * x.v_m**2
         push.slope = push.slope + slope
 
 
@@ -49,28 +54,23 @@ class StickAfterRest(Outside):
     """Breakaway that grows with the time at rest, ``F (1 - exp(-t_rest / T))``, gone after ``slip`` [rad] of motion."""
 
     place, sized, memory = "motor_friction", ("F",), ("rest",)
+    drawn = {"F": uniform(1.0, 3.0, dry), "T": uniform(0.05, 0.4), "slip": uniform(1.0, 8.0)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        F = dry(robot, joint) * rng.uniform(1.0, 3.0)
-        return cls(joint, {"F": F, "T": rng.uniform(0.05, 0.4), "slip": rng.uniform(1.0, 8.0)})
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         v, speed = self.values, np.abs(x.v_m)
-        push.dry(v["F"] * (1 - np.exp(-m._rest / v["T"])))
-        m._rest = np.where(speed > 0, m._rest * np.exp(-speed * x.step / v["slip"]), m._rest + x.step)
+        push.dry(v["F"] * (1 - np.exp(-self._rest / v["T"])))
+        self._rest = np.where(
+            speed > 0, self._rest * np.exp(-speed * x.step / v["slip"]), self._rest + x.step
+        )
 
 
 class CubicDrag(Outside):
     """Drag with the third power of the speed."""
 
     place, sized = "motor_friction", ("F",)
+    drawn = {"F": uniform(0.5, 2.0, lambda robot, joint: dry(robot, joint) / fast(robot, joint) ** 3)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"F": dry(robot, joint) * rng.uniform(0.5, 2.0) / fast(robot, joint) ** 3})
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         push.slope = push.slope + self.values["F"] * x.v_m**2
 
 
@@ -78,13 +78,9 @@ class Groove(Outside):
     """A latch at one angle of the link: ``-A d / w exp(-(d / w)^2)`` pulls it into q_0; A [N m], w [rad]."""
 
     place, sized = "load", ("A",)
+    drawn = {"A": uniform(1.0, 4.0, dry_at_link), "q_0": uniform(-0.3, 0.3), "width": uniform(0.03, 0.12)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        A = dry(robot, joint) * robot.ratio[joint] * rng.uniform(1.0, 4.0)
-        return cls(joint, {"A": A, "q_0": rng.uniform(-0.3, 0.3), "width": rng.uniform(0.03, 0.12)})
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         d = (x.q_a - self.values["q_0"]) / self.values["width"]
         push.torque = push.torque - self.values["A"] * d * np.exp(-(d**2))
 
@@ -96,11 +92,11 @@ class ToolContact(Outside):
 
     @classmethod
     def draw(cls, rng, robot, joint):
-        k = dry(robot, joint) * robot.ratio[joint] * log_uniform(rng, 2.0, 20.0)
+        k = uniform(2.0, 20.0, dry_at_link, log=True)(rng, robot, joint)
         side = rng.choice([-1, 1]) * rng.uniform(0.1, 0.4)
         return cls(joint, {"k": k, "d": 0.05 * k, "start_at": side})
 
-    def act(self, push, x, m):
+    def act(self, push, x):
         v, side = self.values, np.sign(self.values["start_at"])
         depth = np.maximum(side * (x.q_a - v["start_at"]), 0.0)
         force = v["k"] * depth + np.where(depth > 0, v["d"] * side * x.v_a, 0.0)
@@ -111,20 +107,14 @@ class TorquePulses(Outside):
     """Torque pulses [N m] of given length [s] every `period` seconds from `first` on, of alternating sign."""
 
     place, sized = "load", ("torque",)
+    drawn = {
+        "torque": uniform(1.0, 4.0, dry_at_link),
+        "period": uniform(0.7, 2.5),
+        "first": uniform(0.3, 1.0),
+        "length": uniform(0.05, 0.2),
+    }
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        torque = dry(robot, joint) * robot.ratio[joint] * rng.uniform(1.0, 4.0)
-        period = rng.uniform(0.7, 2.5)
-        values = {
-            "torque": torque,
-            "first": rng.uniform(0.3, 1.0),
-            "period": period,
-            "length": rng.uniform(0.05, 0.2),
-        }
-        return cls(joint, values)
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         v = self.values
         count = np.floor((x.time - v["first"]) / v["period"])
         side = 1 - 2 * (count - 2 * np.floor(0.5 * count))
@@ -136,13 +126,9 @@ class ShakenFrame(Outside):
     """A neighbour that shakes the frame: ``A sin(2 pi f t + phase)``; A [N m], f [Hz]."""
 
     place, sized = "load", ("A",)
+    drawn = {"A": uniform(0.5, 2.0, dry_at_link), "f": uniform(0.5, 6.0), "phase": uniform(0, 2 * np.pi)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        A = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.5, 2.0)
-        return cls(joint, {"A": A, "f": rng.uniform(0.5, 6.0), "phase": rng.uniform(0, 2 * np.pi)})
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         wave = self.values["A"] * np.sin(2 * np.pi * self.values["f"] * x.time + self.values["phase"])
         push.torque = push.torque + np.where(x.time > RESTING, wave, 0.0)
 
@@ -155,19 +141,18 @@ class MountedMass(Outside):
 
     place, sized, systems = "load", ("J_2",), ("one_link_flexible",)
     memory = ("twist", "speed")
+    drawn = {
+        "J_2": uniform(0.2, 0.8, link_inertia),
+        "frequency": uniform(1.0, 4.0, lambda robot, joint: 2 * np.pi),
+        "damping": uniform(0.02, 0.1),
+    }
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        J_2 = link_inertia(robot, joint) * rng.uniform(0.2, 0.8)
-        frequency = 2 * np.pi * rng.uniform(1.0, 4.0)
-        return cls(joint, {"J_2": J_2, "frequency": frequency, "damping": rng.uniform(0.02, 0.1)})
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         v = self.values
-        pull = v["frequency"] ** 2 * m._twist + 2 * v["damping"] * v["frequency"] * (x.v_a - m._speed)
+        pull = v["frequency"] ** 2 * self._twist + 2 * v["damping"] * v["frequency"] * (x.v_a - self._speed)
         push.torque = push.torque - v["J_2"] * pull
-        m._speed = m._speed + x.step * pull
-        m._twist = m._twist + x.step * (x.v_a - m._speed)
+        self._speed = self._speed + x.step * pull
+        self._twist = self._twist + x.step * (x.v_a - self._speed)
 
 
 class DrivenSlowMotion(Outside):
@@ -178,10 +163,10 @@ class DrivenSlowMotion(Outside):
     @classmethod
     def draw(cls, rng, robot, joint):
         speed = rng.uniform(0.1, 0.4) * fast(robot, joint) / robot.ratio[joint]
-        F = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.0) / speed
+        F = dry_at_link(robot, joint) * rng.uniform(0.3, 1.0) / speed
         return cls(joint, {"F": F, "v_0": speed})
 
-    def act(self, push, x, m):
+    def act(self, push, x):
         v = self.values
         push.torque = push.torque + v["F"] * x.v_a * np.exp(-((x.v_a / v["v_0"]) ** 2))
 
@@ -194,12 +179,12 @@ class Wind(Outside):
     @classmethod
     def draw(cls, rng, robot, joint):
         wind = rng.choice([-1, 1]) * rng.uniform(0.5, 2.0)
-        c = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.5) / wind**2
+        c = dry_at_link(robot, joint) * rng.uniform(0.3, 1.5) / wind**2
         return cls(joint, {"c": c, "wind": wind})
 
-    def act(self, push, x, m):
+    def act(self, push, x):
         v = self.values
-        most = 0.9 * dry(m.robot, self.joint) * m.robot.ratio[self.joint]  # the joint still starts at rest
+        most = 0.9 * dry_at_link(self.robot, self.joint)  # the joint still starts at rest
         relative = x.v_a - v["wind"]
         c = np.minimum(v["c"], most / v["wind"] ** 2)
         push.torque = push.torque - c * relative * np.abs(relative)
@@ -209,17 +194,9 @@ class CommutationRipple(Outside):
     """Commutation: a ripple that grows with the motor's torque, ``share tau_motor sin(n q_m + phase)``."""
 
     place, sized = "motor", ("share",)
+    drawn = {"share": uniform(0.1, 0.5), "periods": choice([1, 2, 3]), "phase": uniform(0, 6.28)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        values = {
-            "share": rng.uniform(0.1, 0.5),
-            "periods": float(rng.choice([1, 2, 3])),
-            "phase": rng.uniform(0, 6.28),
-        }
-        return cls(joint, values)
-
-    def act(self, push, x, m):
+    def act(self, push, x):
         share = np.minimum(self.values["share"], 0.9)
         push.torque = push.torque + share * x.effort * np.sin(
             self.values["periods"] * x.q_m + self.values["phase"]
@@ -230,10 +207,7 @@ class FieldWeakening(Outside):
     """A torque constant that falls with the speed."""
 
     place, sized = "motor", ("loss",)
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"loss": rng.uniform(0.3, 2.0)})
+    drawn = {"loss": uniform(0.3, 2.0)}
 
     def install(self, machine, robot):
         self.drive(machine).motor.weakening = fast(robot, self.joint) / np.sqrt(self.values["loss"])
@@ -243,12 +217,9 @@ class UnevenAmplifier(Outside):
     """An amplifier that gives ``1 + excess`` of the command in one direction only."""
 
     place, sized = "input", ("excess",)
+    drawn = {"excess": uniform(0.03, 0.2)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"excess": rng.uniform(0.03, 0.2)})
-
-    def volts(self, volts, x, m):
+    def volts(self, volts, x):
         return np.where(volts > 0, (1 + self.values["excess"]) * volts, volts)
 
 
@@ -257,16 +228,9 @@ class HystereticGear(Outside):
 
     place, sized, systems = "transmission", ("limit",), ("one_link_flexible",)
     replaces, memory = True, ("sliding",)
+    drawn = {"limit": uniform(0.3, 1.5, dry_at_link), "share": uniform(0.3, 0.8)}
 
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        limit = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.5)
-        return cls(joint, {"limit": limit, "share": rng.uniform(0.3, 0.8)})
-
-    def install(self, machine, robot):
-        self.drive(machine).spring = ActingSpring(self, robot)
-
-    def torque(self, twist, rate, step, m):
-        v, k = self.values, m.robot.values["k"]
-        m._sliding = np.clip(m._sliding + v["share"] * k * rate * step, -v["limit"], v["limit"])
-        return k * twist + m._sliding + m.robot.values["d"] * rate
+    def torque(self, twist, rate, step):
+        v, k = self.values, self.robot.values["k"]
+        self._sliding = np.clip(self._sliding + v["share"] * k * rate * step, -v["limit"], v["limit"])
+        return k * twist + self._sliding + self.robot.values["d"] * rate

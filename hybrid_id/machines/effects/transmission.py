@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hybrid_id.machines.effects.base import ActingSpring, Effect, link_inertia, stall
+from hybrid_id.machines.effects.base import Effect, link_inertia, stall, uniform
 from hybrid_id.machines.physics.transmission import (
     Gear,
     HardeningSpring,
@@ -10,7 +10,6 @@ from hybrid_id.machines.physics.transmission import (
     Play,
     PlaySpring,
 )
-from hybrid_id.machines.robots import log_uniform
 
 RIGID = ("one_link", "two_link")
 
@@ -21,17 +20,13 @@ class FlatTeeth(Effect):
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
     systems = RIGID
     exponent, substeps, replaces = 1.0, 4, True
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(
-            joint,
-            {
-                "gap": log_uniform(rng, 0.004, 0.04),
-                "contact": link_inertia(robot, joint) * (2 * np.pi * rng.uniform(25, 50)) ** 2,
-                "loss": log_uniform(rng, 1.0, 8.0),
-            },
-        )
+    drawn = {
+        "gap": uniform(0.004, 0.04, log=True),
+        "contact": lambda rng, robot, joint: (
+            link_inertia(robot, joint) * (2 * np.pi * rng.uniform(25, 50)) ** 2
+        ),
+        "loss": uniform(1.0, 8.0, log=True),
+    }
 
     def install(self, machine, robot):
         v = self.values
@@ -43,19 +38,15 @@ class FlatTeeth(Effect):
 class RoundTeeth(FlatTeeth):
     """Play between round teeth (Hertz)."""
 
-    place, exponent = "transmission", 1.5
+    exponent = 1.5
 
 
 class PlayBeforeSpring(Effect):
     """Play in series with the spring of a flexible gear."""
 
-    replaces = True
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
-    systems = ("one_link_flexible",)
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"gap": log_uniform(rng, 0.005, 0.05)})
+    systems, replaces = ("one_link_flexible",), True
+    drawn = {"gap": uniform(0.005, 0.05, log=True)}
 
     def install(self, machine, robot):
         spring = PlaySpring(self.values["gap"], robot.values["k"], robot.values["d"])
@@ -66,13 +57,13 @@ class SoftGear(Effect):
     """A spring where the model is rigid."""
 
     name, place, sized, systems = "joint_flexibility", "transmission", ("compliance",), RIGID
-    size_keys = {"stiffness": "newton_metres_per_rad_link", "damping": "newton_metre_seconds_link"}
     shapes, replaces = ("ratio",), True
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        stiffness = link_inertia(robot, joint) * (2 * np.pi * rng.uniform(3, 9)) ** 2
-        return cls(joint, {"compliance": 1 / stiffness, "ratio": rng.uniform(0.03, 0.2)})
+    drawn = {
+        "compliance": lambda rng, robot, joint: (
+            1 / (link_inertia(robot, joint) * (2 * np.pi * rng.uniform(3, 9)) ** 2)
+        ),
+        "ratio": uniform(0.03, 0.2),
+    }
 
     def spring(self, robot):
         """Stiffness and damping of the linear spring."""
@@ -90,8 +81,6 @@ class SoftGear(Effect):
 class SlightlyHardSoftGear(SoftGear):
     """The same, a little stiffer far out, as no gear is linear."""
 
-    place = "transmission"
-
     def install(self, machine, robot):
         k, damping = self.spring(robot)
         twist = 0.3 * stall(robot, self.joint) * robot.ratio[self.joint] / k
@@ -103,11 +92,7 @@ class CubicSpring(Effect):
 
     name, place, sized = "hardening_flexibility", "transmission", ("stiffening",)
     systems, size_keys = ("one_link_flexible",), {"stiffening": "relative_stiffening_at_stall_torque"}
-    replaces = True
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"stiffening": log_uniform(rng, 1.0, 20.0)})
+    drawn, replaces = {"stiffening": uniform(1.0, 20.0, log=True)}, True
 
     def install(self, machine, robot):
         k = robot.values["k"]
@@ -119,13 +104,10 @@ class CubicSpring(Effect):
 class SteppedSpring(CubicSpring):
     """A spring that gets stiffer beyond a knee: teeth that come to bear one after the other."""
 
-    place = "transmission"
+    install = Effect.install
 
-    def install(self, machine, robot):
-        self.drive(machine).spring = ActingSpring(self, robot)
-
-    def torque(self, twist, rate, step, m):
-        k, robot = m.robot.values["k"], m.robot
+    def torque(self, twist, rate, step):
+        robot, k = self.robot, self.robot.values["k"]
         knee = 0.04 * stall(robot, self.joint) * robot.ratio[self.joint] / k
         beyond = np.sign(twist) * np.maximum(np.abs(twist) - knee, 0.0)
         return k * (twist + self.values["stiffening"] * beyond) + robot.values["d"] * rate
@@ -160,4 +142,4 @@ class GearError(Effect):
 class GearErrorWithOvertone(GearError):
     """The same with a second harmonic."""
 
-    place, overtone = "transmission", 0.25
+    overtone = 0.25

@@ -195,13 +195,13 @@ class Dahl(Law):
 class LuGre(Law):
     """``z' = v - s |v| z / F_c``, ``F = s z + d z'``: bristles.
 
-    Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995, without their Stribeck curve; s [N m/rad],
-    d [N m s/rad]; the viscous part of the law belongs to `Viscous`.
+    Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995, without their Stribeck curve; s [N m/rad], and
+    d = `settling` s with a time [s]; the viscous part of the law belongs to `Viscous`.
     """
 
     F_c: Lanes
     stiffness: Lanes
-    damping: Lanes
+    settling: Lanes = 0.01
     _z: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
 
     def start(self, lanes: int) -> None:
@@ -211,8 +211,8 @@ class LuGre(Law):
         speed = self.speed(x)
         end = np.sign(speed) * self.F_c / self.stiffness
         after = end + (self._z - end) * np.exp(-self.stiffness * np.abs(speed) * x.step / self.F_c)
-        force = self.stiffness * 0.5 * (self._z + after) + self.damping * (after - self._z) / x.step
-        push.torque = push.torque - force
+        force = 0.5 * (self._z + after) + self.settling * (after - self._z) / x.step
+        push.torque = push.torque - self.stiffness * force
         self._z = after
 
 
