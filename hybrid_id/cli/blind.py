@@ -82,9 +82,6 @@ def make(
         str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
     ] = None,
     level: Annotated[str | None, typer.Option(help="strong, medium or weak.", show_default="drawn")] = None,
-    engine: Annotated[
-        str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
-    ] = None,
     realism: Annotated[
         str,
         typer.Option(
@@ -103,7 +100,7 @@ def make(
     """
     if open_answers and answers is not None:
         raise InputError("--answers and --open-answers contradict each other; give one of them")
-    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    options = {"system": system, "family": family, "effect": effect, "level": level}
     if realism != "clean":
         options["realism"] = realism
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"

@@ -27,7 +27,6 @@ class Case:
         campaign: planned records.
         model: the nominal model, as the content of a model file.
         files: further files beside it, by name.
-        engine: in_house or mujoco.
     """
 
     name: str
@@ -35,7 +34,6 @@ class Case:
     campaign: Campaign
     model: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
-    engine: str = "in_house"
 
     def dataset(self, measured: Measured) -> Dataset:
         """The records as they are written."""
@@ -144,7 +142,6 @@ def ground_truth(graded: Graded, family: str, seed: int, draw: int) -> dict[str,
         "level": graded.level,
         "oracle": {name: short(value) for name, value in oracle.items()},
         "made_by": {
-            "engine": case.engine,
             "system": case.robot.system,
             "seed": seed,
             "draw": draw,

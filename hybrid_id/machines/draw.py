@@ -20,7 +20,6 @@ from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.effects.friction import PreslidingDahl, WithheldCoulomb
 from hybrid_id.machines.experiments import SAMPLE_TIME, draw_campaign, noise_std
 from hybrid_id.machines.physics.bench import Flaws, replay, run
-from hybrid_id.machines.physics.mujoco import MujocoMachine, Unsupported, planar
 from hybrid_id.machines.rivals import find_rivals
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
 from hybrid_id.machines.score import SOUND
@@ -42,8 +41,6 @@ NEEDED = 1.2
 `SEEN`."""
 FARTHEST = 1.15
 """Largest error of both effects of a pair, re-fitted, over the noise floor, by which each alone is judged."""
-IN_MUJOCO = 0.5
-"""Share of MuJoCo among the clean cases that it can run, where the engine is not given."""
 NOISE = (0.002, 0.03)
 """Encoders' noise relative to the motion in the test records."""
 APART = 1.25
@@ -100,7 +97,6 @@ def draw_drive(
     system: str | None = None,
     effect: str | None = None,
     level: str | None = None,
-    engine: str | None = None,
 ) -> Graded | None:
     """One attempt at a machine; None where its effects do not come out as wanted.
 
@@ -123,23 +119,7 @@ def draw_drive(
     if family not in SOUND and (len(leaders) < LEADERS[family] or (messy and len(small) < FEWEST + SPARE)):
         return None
     campaign = draw_campaign(rng, robot, lengths=LENGTHS if messy else None)
-    wish = "in_house" if messy else engine or ("mujoco" if rng.random() < IN_MUJOCO else "in_house")
-    if wish == "mujoco":
-        truth = robot
-        for one in leaders:
-            truth = one.alter(truth)
-        machine = truth.assemble()
-        for one in leaders:
-            one.install(machine, truth)
-        try:
-            MujocoMachine(*planar(machine))
-        except (ImportError, Unsupported):
-            if engine:
-                return None
-            wish = "in_house"
-    case = _tuned(
-        Case(name, robot, campaign, engine=wish), rng.uniform(*((0.12, 0.4) if messy else (0.15, 0.45)))
-    )
+    case = _tuned(Case(name, robot, campaign), rng.uniform(*((0.12, 0.4) if messy else (0.15, 0.45))))
     if not messy:
         drift, withheld, wrong = np.ones((robot.joints, len(campaign.roles))), (), WRONG
     else:
@@ -152,9 +132,9 @@ def draw_drive(
         wrong = 0.0
     about = _About(case, drift, withheld, wrong)
     if family in SOUND:
-        trials, mujoco = about.trials(()), wish == "mujoco"
-        made = trials.record([()], drift, mujoco=mujoco)
-        floor = trials.floors([()], made, mujoco=mujoco)[0]
+        trials = about.trials(())
+        made = trials.record([()], drift)
+        floor = trials.floors([()], made)[0]
         base = trials.fit([Simulator(0, (), trials.true)], made, rounds=ROUNDS)[0]
         graded = about.graded(rng, trials, made[0], floor, base, ())
         shows = family == "none" or graded.nominal >= PLAIN * graded.refit
@@ -342,10 +322,10 @@ def _levelled(
     if len(lifted) < len(effects):
         return None
     sized = [one.scaled(lifted[i][0]) for i, one in enumerate(effects)]
-    trials, mujoco = about.trials(sized), about.case.engine == "mujoco"
+    trials = about.trials(sized)
     whole, nothing = (1.0,) * len(effects), (0.0,) * len(effects)
-    made = trials.record([whole], about.drift, mujoco=mujoco)
-    floor = trials.floors([whole], made, mujoco=mujoco)[0]
+    made = trials.record([whole], about.drift)
+    floor = trials.floors([whole], made)[0]
     true = Simulator(0, nothing, trials.true)
     starts = [true]
     for turn in (0, 1):

@@ -78,7 +78,7 @@ def draw_arm_case(
     effects = [*(one for own in small for one in own), *([lead] if lead else [])]
     spread = rng.uniform(*SPREAD, (joints, 1))
     drift = 1.0 + spread * np.clip(rng.standard_normal((joints, TRAIN + 1)), -2.0, 2.0)
-    case = Case(name, arm, _campaign(rng, arm), engine="mujoco")
+    case = Case(name, arm, _campaign(rng, arm))
     moved = _moved(replace(arm, phase=rng.uniform(-np.pi, np.pi, TRAIN + 1)), effects, drift, case.campaign)
     if moved is None:
         return None
@@ -205,17 +205,6 @@ def _campaign(rng: np.random.Generator, arm: Arm) -> Campaign:
 def _moved(arm: Arm, effects: Sequence[Effect], drift: np.ndarray, campaign: Campaign) -> Moved | None:
     """The records of an arm with effects, without the rest before them; None where it runs away."""
     machine = arm.drifted(drift).assemble(effects)
-    angles, speeds = [], []
-    advance = machine.advance
-
-    def watched(commands: np.ndarray, disturbance: np.ndarray) -> None:
-        """Keep the true motion before each sample."""
-        angle, speed = machine.motion()
-        angles.append(angle[1])
-        speeds.append(speed[1])
-        advance(commands, disturbance)
-
-    machine.advance = watched  # type: ignore[method-assign]
     start = campaign.program.feed[0] if arm.servo else campaign.program.reference[0]
     with np.errstate(all="ignore"):
         volts, measured = run(
@@ -228,10 +217,5 @@ def _moved(arm: Arm, effects: Sequence[Effect], drift: np.ndarray, campaign: Cam
     if not np.abs(measured).max() < RUNAWAY:
         return None
     kept = slice(SETTLING, None)
-    return Moved(
-        np.round(volts[kept], 7),
-        np.round(measured[kept], 7),
-        np.array(angles)[kept],
-        np.array(speeds)[kept],
-        trace[:, kept],
-    )
+    _, angles, _, speeds = map(np.array, zip(*machine.trail[kept], strict=True))
+    return Moved(np.round(volts[kept], 7), np.round(measured[kept], 7), angles, speeds, trace[:, kept])

@@ -44,7 +44,6 @@ def make_case(
     system: str | None = None,
     effect: str | None = None,
     level: str | None = None,
-    engine: str | None = None,
     realism: str = CLEAN,
 ) -> Path:
     """Make one case; what is not given is drawn.
@@ -57,9 +56,8 @@ def make_case(
         system: one_link, one_link_flexible or two_link.
         effect: name of the effect, or the first one of a pair; of the formula for effects outside the catalogue.
         level: strong, medium or weak.
-        engine: in_house or mujoco.
         realism: clean, where nothing is at work beyond the family; or messy, where that is dominant among small ones,
-            drift and imperfect encoders, and level and engine are not to be chosen; or arms, of two to seven joints in
+            drift and imperfect encoders, and level is not to be chosen; or arms, of two to seven joints in
             MuJoCo, as messy as that, where the system is not to be chosen either.
 
     Returns:
@@ -68,7 +66,7 @@ def make_case(
     Raises:
         InputError: a name is not known, or no machine could be drawn that the effect shows on.
     """
-    given = {"family": family, "system": system, "effect": effect, "level": level, "engine": engine}
+    given = {"family": family, "system": system, "effect": effect, "level": level}
     _check(realism, given)
     family, wanted = family_and_level(seed, realism, family, effect, level)
     name = name or f"c{seed:03d}"
@@ -86,7 +84,6 @@ def make_case(
                     system=system,
                     effect=effect,
                     level=wanted,
-                    engine=engine,
                 )
         except np.linalg.LinAlgError:  # a record of numbers that are none
             continue
@@ -131,7 +128,7 @@ def make_cases(
         done: called after each case.
         **options: see `make_case`.
     """
-    known = ("family", "system", "effect", "level", "engine")
+    known = ("family", "system", "effect", "level")
     _check(options.get("realism", CLEAN), {option: options.get(option) for option in known})
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
@@ -180,19 +177,17 @@ def _check(realism: str, given: Mapping[str, str | None]) -> None:
     if realism not in FAMILIES:
         raise InputError(f"blind make: realism '{realism}' is not known; use {CLEAN}, {MESSY} or {ARMS}")
     if realism == ARMS:
-        if given["system"] or given["level"] or given["engine"]:
+        if given["system"] or given["level"]:
             raise InputError(
-                "blind make: arms are of two to seven joints, in MuJoCo; leave --system, --level and --engine out"
+                "blind make: arms are of two to seven joints, in MuJoCo; leave --system and --level out"
             )
         if find_spec("mujoco") is None:
             raise InputError(
                 "blind make: arms move in MuJoCo, which is not installed; "
                 "install it with pip install 'hybrid_id[robots]'"
             )
-    if realism == MESSY and (given["level"] or given["engine"] == "mujoco"):
-        raise InputError(
-            "blind make: messy machines have neither level nor MuJoCo; leave --level and --engine out"
-        )
+    if realism == MESSY and given["level"]:
+        raise InputError("blind make: messy machines have no level; leave --level out")
     systems = {"robot"} if realism == ARMS else set(SYSTEMS)
     inside = [kind for kinds in CATALOGUE.values() for kind in kinds if systems & set(kind.systems)]
     unnamed = sorted(kind.formula for kind in OUTSIDE if systems & set(kind.systems))
@@ -201,7 +196,6 @@ def _check(realism: str, given: Mapping[str, str | None]) -> None:
         "system": list(SYSTEMS),
         "effect": [*sorted({k.name for k in inside}), *sorted(k.formula for k in inside), *unnamed],
         "level": list(BANDS),
-        "engine": ["in_house", "mujoco"],
     }
     for option, value in given.items():
         if value is not None and value not in known[option]:

@@ -27,7 +27,7 @@ class Judged:
 
     Attributes:
         case: its name.
-        family, level, system, engine: of the case.
+        family, level, system: of the case.
         realism: clean, messy or arms.
         effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
         records: train records that the diagnosis had.
@@ -66,7 +66,6 @@ class Judged:
     family: str
     level: str
     system: str
-    engine: str
     realism: str
     effect: str
     records: int
@@ -188,7 +187,6 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         family=family,
         level=str(answers["level"]),
         system=str(run.get("system") or answers.get("made_by", {}).get("system", "")),
-        engine=str(answers.get("made_by", {}).get("engine", "")),
         realism=realism,
         effect="+".join(t["name"] for t in leading) or "none",
         records=int(run.get("train_records", 0)),
@@ -274,7 +272,6 @@ GROUPS: Mapping[str, Callable[[Judged], str]] = {
     "family and level": lambda one: f"{one.family}, {one.level}",
     "system": lambda one: one.system,
     "train records": lambda one: str(one.records or ""),
-    "engine": lambda one: one.engine,
     "effect": lambda one: one.effect,
 }
 

@@ -15,7 +15,6 @@ from hybrid_id.machines.effects import Effect
 from hybrid_id.machines.experiments import SAMPLE_TIME, Campaign, noise_std
 from hybrid_id.machines.physics.bench import replay, run
 from hybrid_id.machines.physics.machine import Machine
-from hybrid_id.machines.physics.mujoco import MujocoMachine, planar
 from hybrid_id.machines.robots import Robot
 
 FINE = 2
@@ -130,15 +129,12 @@ class Trials:
                 effect.install(machine, robot)
         return machine
 
-    def record(
-        self, mixtures: Sequence[Sequence[float]], drift: np.ndarray, *, mujoco: bool = False
-    ) -> list[Measured]:
+    def record(self, mixtures: Sequence[Sequence[float]], drift: np.ndarray) -> list[Measured]:
         """Measure the machines of several mixtures, all records of all of them side by side.
 
         Args:
-            mixtures: sizes of all effects, of each machine; in MuJoCo of one.
+            mixtures: sizes of all effects, of each machine.
             drift: factor on each motor's friction (n_joints, R).
-            mujoco: whether they run in MuJoCo.
         """
         found: dict[int, Measured] = {}
         for rows in self.alike(mixtures):
@@ -146,20 +142,17 @@ class Trials:
             campaign = self.campaign.repeated(count)
             sizes = np.repeat(np.array([mixtures[k] for k in rows], float).T, runs, axis=1)
             machine = self.machine(sizes, {}, {}, least=FINE, drift=np.tile(drift, count))
-            plant = MujocoMachine(*planar(machine)) if mujoco else machine
             with np.errstate(all="ignore"):
-                volts, angles = run(plant, campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
+                volts, angles = run(machine, campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
             for i, k in enumerate(rows):
                 own = slice(i * runs, (i + 1) * runs)
                 found[k] = Measured(volts[..., own], angles[..., own])
         return [found[k] for k in range(len(mixtures))]
 
-    def floors(
-        self, mixtures: Sequence[Sequence[float]], measured: Sequence[Measured], *, mujoco: bool = False
-    ) -> list[Simulator]:
+    def floors(self, mixtures: Sequence[Sequence[float]], measured: Sequence[Measured]) -> list[Simulator]:
         """The machines themselves, their friction that of no record, with their errors."""
         machines = [Simulator(k, tuple(sizes), {}) for k, sizes in enumerate(mixtures)]
-        return self.errors(machines, measured, least=FINE, settled=False, mujoco=mujoco)
+        return self.errors(machines, measured, least=FINE, settled=False)
 
     def replay(
         self,
@@ -169,7 +162,6 @@ class Trials:
         *,
         least: int = 1,
         settled: bool = True,
-        mujoco: bool = False,
     ) -> np.ndarray:
         """Angles (T, n_outputs, K, R) of simulators, alike in what they replace, on some of their records.
 
@@ -179,7 +171,6 @@ class Trials:
             rows: numbers of records.
             least: see `machine`.
             settled: whether they start where the records do, and not where they come to rest by themselves.
-            mujoco: whether they run in MuJoCo.
         """
         joints, samples = self.robot.joints, int(self.lengths[rows].max())
         volts = [measured[one.number].volts[:samples][..., rows] for one in simulators]
@@ -187,9 +178,8 @@ class Trials:
         start = np.concatenate(rest, axis=1) / np.array(self.robot.ratio)[:, None]
         with np.errstate(all="ignore"):  # a machine that diverges costs much, which is all
             machine = self.machine(*self.lanes(simulators, len(rows)), least=least)
-            plant = MujocoMachine(*planar(machine)) if mujoco else machine
             angles = replay(
-                plant,
+                machine,
                 np.concatenate(volts, axis=-1),
                 sample_time=SAMPLE_TIME,
                 link=self.campaign.encoders.link,

@@ -28,8 +28,7 @@ def truth(name: str, where: str = FRICTION, *, also: tuple[str, ...] = ()) -> di
 
 
 def sheet(family: str, *effects: dict[str, Any], level: str = "strong") -> dict[str, Any]:
-    made_by = {"engine": "in_house"}
-    return {"family": family, "effects": list(effects), "level": level, "oracle": ORACLE, "made_by": made_by}
+    return {"family": family, "effects": list(effects), "level": level, "oracle": ORACLE}
 
 
 def effect(
@@ -71,7 +70,7 @@ OPEN = {"closed": None, "shrink_error": None, "covered": None}
         (STRIBECK, said(RIGHT, gap=GAP),
          HIT | {"top_3": True, "said": "stribeck_friction", "effect": "stribeck_friction", "claims": ((0.9, True),),
                 "shrink_error": pytest.approx(5.0), "covered": True, "closed": pytest.approx(0.9), "system": "one_link",
-                "records": 6, "engine": "in_house", "level": "strong", "false_unknown": False, "false_alarm": None,
+                "records": 6, "level": "strong", "false_unknown": False, "false_alarm": None,
                 "outside": None, "pair": None}),
         # an interval without ends
         (STRIBECK, said(RIGHT, gap=GAP | {"shrink_interval": [None, 1.0]}),

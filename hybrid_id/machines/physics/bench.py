@@ -135,7 +135,7 @@ def run(
 
 
 def replay(
-    plant: Machine | MujocoMachine,
+    plant: Machine,
     volts: np.ndarray,
     *,
     sample_time: float,
