@@ -198,24 +198,17 @@ def _links(rng: np.random.Generator, count: int) -> list[Link]:
 
 def _carried(links: Sequence[Link]) -> tuple[np.ndarray, np.ndarray]:
     """Torque of the weight [N m] that each joint carries, seen at a right angle, and a typical inertia [kg m^2]."""
-    turns, places = list[np.ndarray](), list[np.ndarray]()
-    moment, inertia = np.zeros(len(links)), np.zeros(len(links))
-    for one in links:
-        turn, place = (turns[one.parent], places[one.parent]) if one.parent >= 0 else (np.eye(3), np.zeros(3))
-        w, x, y, z = one.quaternion
-        rotation = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        places.append(place + turn @ one.position)
-        turns.append(turn @ rotation)
-        centre, k = places[-1] + turns[-1] @ one.centre, len(places) - 1
+    import mujoco
+
+    mj: Any = mujoco
+    model = mj.MjModel.from_xml_string(document(links, [""] * len(links)))
+    data, moment, inertia = mj.MjData(model), np.zeros(len(links)), np.zeros(len(links))
+    mj.mj_kinematics(model, data)
+    for i, link in enumerate(links):
+        k = i
         while k >= 0:
-            away = float(np.linalg.norm(centre - places[k]))
-            moment[k] += GRAVITY * one.mass * away
-            inertia[k] += 0.6 * one.mass * away**2
+            away = float(np.linalg.norm(data.xipos[i + 1] - data.xanchor[k]))
+            moment[k] += GRAVITY * link.mass * away
+            inertia[k] += 0.6 * link.mass * away**2
             k = links[k].parent
     return moment, inertia

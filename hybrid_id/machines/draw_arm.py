@@ -13,7 +13,7 @@ import numpy as np
 from hybrid_id.machines.arm import Arm, draw_arm
 from hybrid_id.machines.case import Case, Graded, Part, level_of, short
 from hybrid_id.machines.draw import DOMINANT, IMITATED, TWICE
-from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
+from hybrid_id.machines.effects import Effect
 from hybrid_id.machines.effects.arm import ArmEffect, ArmOutside, LinkMass
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.experiments import Campaign
@@ -52,28 +52,18 @@ def draw_arm_case(
     """One attempt at a case of an arm; None where its dominant effect does not come out as one."""
     arm = draw_arm(rng)
     joints, lead = arm.joints, None
+    named = [kind for kind in ArmEffect.__subclasses__() if kind is not ArmOutside and kind.fits(arm)]
     if family not in SOUND:
-        groups = [OUTSIDE] if family == UNKNOWN else list(CATALOGUE.values())
-        kinds = [
-            kind
-            for group in groups
-            for kind in group
-            if kind.fits(arm) and effect in (None, kind.name, kind.formula)
-        ]
+        kinds = ArmOutside.__subclasses__() if family == UNKNOWN else named
+        kinds = [kind for kind in kinds if effect in (None, kind.name, kind.formula)]
         if not kinds:
             return None
-        lead = kinds[rng.integers(len(kinds))].draw(rng, arm, int(rng.integers(joints)))  # type: ignore[arg-type]
+        lead = kinds[rng.integers(len(kinds))].draw(rng, arm, int(rng.integers(joints)))
     small: list[list[Effect]] = [[] for _ in range(joints)]
     if lead:
-        mild = [
-            k
-            for kinds in CATALOGUE.values()
-            for k in kinds
-            if issubclass(k, ArmEffect) and k.small and k.fits(arm)
-        ]
         grown, about = float(np.exp(rng.uniform(*np.log(GROWN)))), (lead.name, lead.joint)
         for k in range(joints):
-            milder = [kind.draw_small(rng, arm, k, grown) for kind in mild]
+            milder = [kind.draw_small(rng, arm, k, grown) for kind in named if kind.small]
             small[k] = [effect for effect in milder if (effect.name, effect.joint) != about]
     effects = [*(one for own in small for one in own), *([lead] if lead else [])]
     spread = rng.uniform(*SPREAD, (joints, 1))

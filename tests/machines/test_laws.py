@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from hybrid_id.machines.effects.motor import DeadZone, HardLimit, SoftLimit, Threshold
-from hybrid_id.machines.physics.friction import Coulomb, Dahl, LuGre, MaxwellSlip, Stribeck
+from hybrid_id.machines.effects import Effect, friction
+from hybrid_id.machines.effects.motor import DeadZone, HardLimit, InputDelay, SoftLimit, Threshold
+from hybrid_id.machines.effects.transmission import FlatTeeth, PlayBeforeSpring, RoundTeeth
+from hybrid_id.machines.physics.friction import Coulomb, LuGre, MaxwellSlip
 from hybrid_id.machines.physics.law import Push, Signals
-from hybrid_id.machines.physics.motor import Delay, Motor
-from hybrid_id.machines.physics.transmission import Gear, Play, PlaySpring
+from hybrid_id.machines.physics.motor import Motor
+from hybrid_id.machines.physics.transmission import Gear
+from hybrid_id.machines.robots import draw_robot
 
 
 def slide(law, path: np.ndarray, step: float = 1e-3) -> np.ndarray:
@@ -21,7 +24,7 @@ def slide(law, path: np.ndarray, step: float = 1e-3) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("law", [Dahl(2.0, 5.0), LuGre(2.0, 5.0, 0.002), MaxwellSlip(2.0, 5.0)])
+@pytest.mark.parametrize("law", [LuGre(2.0, 5.0), LuGre(2.0, 5.0, 0.002), MaxwellSlip(2.0, 5.0)])
 def test_bristles_slide_at_coulombs_level_and_turn_with_memory(law) -> None:
     there = np.linspace(0, 6, 1200)
     force = slide(law, np.concatenate([there, there[::-1]]))
@@ -31,14 +34,14 @@ def test_bristles_slide_at_coulombs_level_and_turn_with_memory(law) -> None:
     assert abs(force[0]) < 0.1
 
 
-@pytest.mark.parametrize("shape", ["exponential", "gaussian", "lorentzian"])
+@pytest.mark.parametrize("shape", ["Exponential", "Gaussian", "Lorentzian"])
 def test_stribeck_falls_from_breakaway_to_coulomb(shape: str) -> None:
     levels = []
     for speed in (0.0, 5.0, 1e4):
         x, push = Signals(1), Push()
         x.v_m = np.array([speed])
         Coulomb(1.0).act(push, x)
-        Stribeck(0.6, 5.0, shape).act(push, x)
+        getattr(friction, f"Stribeck{shape}")(0, {"drop": 0.6, "v_s": 5.0}).act(push, x)
         levels.append(float(np.squeeze(push.plus)))
     assert levels[0] == pytest.approx(1.6)
     assert levels[2] == pytest.approx(1.0, abs=1e-3)
@@ -58,17 +61,19 @@ def test_amplifiers() -> None:
 
 def test_delay_reads_the_sample_that_was_held_then() -> None:
     x = Signals(1)
+
+    def delayed(delay: float) -> np.ndarray:
+        return InputDelay(0, {"delay": delay}).volts(np.array([5.0]), x)
+
     x.history, x.sample_time, x.time = np.arange(10.0)[:, None], 0.1, 0.55
     x.step = 0.02
-    assert Delay(0.0).volts(np.array([5.0]), x)[0] == pytest.approx(5.0)
-    assert Delay(0.25).volts(np.array([5.0]), x)[0] == pytest.approx(
-        2.5
-    )  # it changes in the middle of the step
-    assert Delay(0.2).volts(np.array([5.0]), x)[0] == pytest.approx(3.0)
-    assert Delay(0.6).volts(np.array([5.0]), x)[0] == pytest.approx(0.0)
+    assert delayed(0.0)[0] == pytest.approx(5.0)
+    assert delayed(0.25)[0] == pytest.approx(2.5)  # it changes in the middle of the step
+    assert delayed(0.2)[0] == pytest.approx(3.0)
+    assert delayed(0.6)[0] == pytest.approx(0.0)
     # in one step a sample, too, each fraction of it makes a difference
     x.step = x.sample_time
-    late = [Delay(0.1 * share).volts(np.array([5.0]), x)[0] for share in (0.0, 0.3, 0.7, 1.0, 1.3)]
+    late = [delayed(0.1 * share)[0] for share in (0.0, 0.3, 0.7, 1.0, 1.3)]
     assert late == pytest.approx([5.0, 4.7, 4.3, 4.0, 3.7])
 
 
@@ -97,10 +102,10 @@ def test_warm_winding_gives_less() -> None:
     assert 0.05 / end - 1 == pytest.approx(1000.0 * 0.5 * end**2, rel=1e-3)  # its own steady state
 
 
-@pytest.mark.parametrize(
-    "spring", [Play(0.02, 100.0, 2.0), Play(0.02, 100.0, 2.0, 1.5), PlaySpring(0.02, 100.0, 1.0)]
-)
-def test_teeth_push_beyond_the_gap_only_and_never_pull(spring) -> None:
+@pytest.mark.parametrize("kind", [FlatTeeth, RoundTeeth, PlayBeforeSpring])
+def test_teeth_push_beyond_the_gap_only_and_never_pull(kind: type[Effect]) -> None:
+    robot = draw_robot(np.random.default_rng(0), "one_link_flexible")
+    spring = kind(0, {"gap": 0.02, "contact": 100.0, "loss": 2.0}).law(robot)
     twist = np.array([-0.03, -0.011, -0.009, 0.0, 0.009, 0.011, 0.03])
     still = spring.torque(twist, np.zeros(7), 1e-3)
     assert np.all(still[2:5] == 0)

@@ -15,7 +15,6 @@ from hybrid_id.machines.effects.outside import Wind
 from hybrid_id.machines.effects.transmission import SoftGear
 from hybrid_id.machines.joint import JointTrials, Loads
 from hybrid_id.machines.physics.bench import Encoders, Flaws
-from hybrid_id.machines.physics.friction import Uneven
 from hybrid_id.machines.physics.law import Push, Signals
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
 from hybrid_id.machines.trials import Simulator, Trials
@@ -62,8 +61,11 @@ def test_every_effect_without_a_name_can_be_fitted(kind: type[Effect]) -> None:
 
 
 def test_friction_of_any_size_takes_energy_and_wind_lets_the_joint_rest() -> None:
-    uneven = UnevenBoth.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT)
-    assert isinstance(uneven, Uneven) and abs(uneven.slope) < 2.0 * ROBOT.value(0, "F_v")
+    push, x = Push(), Signals(1)
+    x.v_m = np.array([100.0])
+    UnevenBoth.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT).act(push, x)
+    assert 0 < abs(push.torque) < 100.0 * ROBOT.value(0, "F_v")
+    assert max(push.plus, push.minus) < ROBOT.value(0, "F_c")
     push, wind = Push(), Wind.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT)
     wind.act(push, Signals(1))
     assert abs(push.torque) <= 0.9 * ROBOT.value(0, "F_c") * ROBOT.ratio[0] * (1 + 1e-9)

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.machines.effects.base import UNKNOWN, Effect, uniform
+from hybrid_id.machines.effects.friction import EffortFriction, StribeckGaussian
+from hybrid_id.machines.effects.load import Bias, Hose
 from hybrid_id.machines.effects.motor import InputDelay
-from hybrid_id.machines.physics.friction import LoadDependent, PositionDependent, Stribeck, Uneven
-from hybrid_id.machines.physics.load import ConstantTorque, RestSpring
 from hybrid_id.machines.physics.transmission import LinearSpring
 
 TWIST_DAMPING = 0.004
@@ -51,21 +51,17 @@ class ArmEffect(Effect):
         return cls(joint, {key: draw(rng, arm, joint) for key, draw in cls.small.items()}).scaled(grown)
 
 
-class ArmStribeck(ArmEffect):
+class ArmStribeck(ArmEffect, StribeckGaussian):
     """Breakaway above Coulomb."""
 
-    name, place, sized, shapes = "stribeck_friction", "motor_friction", ("drop",), ("slip",)
-    drawn = {"drop": uniform(0.9, 2.1, level), "slip": uniform(0.06, 0.22)}
+    drawn = {"drop": uniform(0.9, 2.1, level), "v_s": uniform(0.06, 0.22)}
     small = drawn | {"drop": uniform(0.01, 0.07, level)}
-    made = Stribeck
 
 
-class ArmLoadFriction(ArmEffect):
+class ArmLoadFriction(ArmEffect, EffortFriction):
     """Dry friction with the torque of the motor."""
 
-    name, place, sized = "load_dependent_friction", "motor_friction", ("load",)
-    drawn = {"load": uniform(0.14, 0.36)}
-    made, options = LoadDependent, {"by_effort": True}
+    drawn = {"mu": uniform(0.14, 0.36)}
 
 
 class ArmUneven(ArmEffect):
@@ -75,12 +71,13 @@ class ArmUneven(ArmEffect):
     drawn = {"uneven": uniform(0.4, 0.75, either=True)}
     small = {"uneven": uniform(-0.025, 0.025)}
 
-    def law(self, robot):
-        return Uneven(2.0 * np.clip(self.values["uneven"], -0.97, 0.97) * level(robot, self.joint))
+    def act(self, push, x):
+        more = np.clip(self.values["uneven"], -0.97, 0.97) * level(self.robot, self.joint)
+        push.plus, push.minus = push.plus + more, push.minus - more
 
 
 class ArmRipple(ArmEffect):
-    """A share of the dry friction that waves over the joint's angle."""
+    """A share of the dry friction that waves over the joint's angle: ``share F_c sin(n q + phase)``."""
 
     name, place, sized = "position_dependent_friction", "motor_friction", ("ripple",)
     shapes, signed = ("waves", "phase"), ("phase",)
@@ -91,25 +88,22 @@ class ArmRipple(ArmEffect):
     }
     small = drawn | {"ripple": uniform(0.004, 0.03)}
 
-    def law(self, robot):
-        v, most = self.values, level(robot, self.joint)
-        return PositionDependent(np.minimum(v["ripple"], 0.97) * most, v["waves"], v["phase"], mean=0.0)
+    def act(self, push, x):
+        v, most = self.values, level(self.robot, self.joint)
+        push.dry(np.minimum(v["ripple"], 0.97) * most * np.sin(v["waves"] * x.q_a + v["phase"]))
 
 
-class ArmSpring(ArmEffect):
+class ArmSpring(ArmEffect, Hose):
     """A cable that pulls towards a rest angle."""
 
-    name, place, sized, shapes, signed = "spring_load", "load", ("spring",), ("rest",), ("rest",)
-    drawn = {"spring": uniform(0.6, 1.6, moment), "rest": uniform(-0.55, 0.55)}
-    made = RestSpring
+    drawn = {"k": uniform(0.6, 1.6, moment), "rest": uniform(-0.55, 0.55)}
 
 
-class ArmBias(ArmEffect):
+class ArmBias(ArmEffect, Bias):
     """A constant torque."""
 
-    name, place, sized, signed = "constant_torque", "load", ("bias",), ("bias",)
     drawn = {"bias": uniform(0.28, 0.62, moment, either=True)}
-    made = ConstantTorque
+    install = Effect.install
 
 
 class EncoderZero(ArmEffect):
@@ -127,7 +121,7 @@ class EncoderZero(ArmEffect):
 class ArmDelay(ArmEffect, InputDelay):
     """Dead time of the goals; to the first order it is a lag."""
 
-    alias, for_torque, size_keys = ("electrical_lag", "motor"), False, {}
+    alias, for_torque = ("electrical_lag", "motor"), False
     drawn = {"delay": uniform(0.018, 0.055)}
 
 

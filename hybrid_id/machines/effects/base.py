@@ -6,9 +6,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law
+from hybrid_id.machines.physics.law import Lanes, Law
 from hybrid_id.machines.physics.machine import Drive, Machine
-from hybrid_id.machines.physics.transmission import Spring
 from hybrid_id.machines.robots import Robot
 
 UNKNOWN = "unknown"
@@ -25,7 +24,7 @@ Unit = Callable[[Any, int], Any]
 """A size that suits a joint of a robot, or an arm."""
 
 
-class Effect(Law, InputLaw, Spring):
+class Effect(Law):
     """One effect at one joint, in one formula; a subclass with a place is a formula.
 
     A formula is a law of the package's physics (`made`), a law itself that overrides `act` of a rotor or link, `volts`
@@ -133,9 +132,9 @@ class Effect(Law, InputLaw, Spring):
     def install(self, machine: Machine, robot: Any) -> None:
         """Build the effect into a machine, in place."""
         law, drive, kind = self.law(robot), self.drive(machine), type(self)
-        if kind.torque is not Spring.torque:
+        if kind.torque is not Law.torque:
             drive.spring = law
-        elif kind.volts is not InputLaw.volts:
+        elif kind.volts is not Law.volts:
             drive.amplifier.append(law)
         elif law.act.__func__ is not Law.act:
             (drive.link_laws if self.place in ("load", "link_friction") else drive.rotor_laws).append(law)

@@ -3,17 +3,7 @@
 import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, choice, dry, dry_at_link, fast, uniform
-from hybrid_id.machines.physics.friction import (
-    Coulomb,
-    Dahl,
-    LoadDependent,
-    LuGre,
-    MaxwellSlip,
-    PositionDependent,
-    Power,
-    Stribeck,
-    Uneven,
-)
+from hybrid_id.machines.physics.friction import Coulomb, LuGre, MaxwellSlip, Power
 
 
 def without(drive, kind):
@@ -70,44 +60,56 @@ class WithheldLinkViscous(Effect):
 
 
 class StribeckGaussian(Effect):
-    """Breakaway above Coulomb, falling with the square of the speed in the exponent."""
+    """Breakaway above Coulomb, ``drop exp(-(v / v_s)^2)`` (Bo and Pavelescu)."""
 
     name, place, sized = "stribeck_friction", "motor_friction", ("drop",)
     size_keys = {"drop": "newton_metres_above_coulomb", "v_s": "rad_per_second"}
     shapes = ("v_s",)
     drawn = {"drop": uniform(0.2, 1.0, dry), "v_s": uniform(4.0, 40.0, log=True)}
-    made = Stribeck
+
+    def act(self, push, x):
+        push.dry(self.values["drop"] * self.share(np.abs(x.v_m) / self.values["v_s"]))
+
+    def share(self, ratio):
+        """What is left of the breakaway at a speed relative to v_s."""
+        return np.exp(-(ratio**2))
 
 
 class StribeckExponential(StribeckGaussian):
-    """The same, exponential in the speed."""
+    """The same, exponential in the speed (Tustin)."""
 
-    options = {"shape": "exponential"}
+    def share(self, ratio):
+        return np.exp(-ratio)
 
 
 class StribeckLorentzian(StribeckGaussian):
-    """The same, with a long tail."""
+    """The same, with a long tail, ``1 / (1 + x^2)`` (Hess and Soom)."""
 
-    options = {"shape": "lorentzian"}
+    def share(self, ratio):
+        return 1 / (1 + ratio**2)
 
 
 class UnevenDry(Effect):
-    """Dry friction that differs with the direction."""
+    """Dry friction higher forwards than backwards, by ``excess`` [N m]."""
 
     name, place, sized = "asymmetric_friction", "motor_friction", ("excess",)
     size_keys = {"excess": "newton_metres_difference"}
     signed = ("excess", "slope")
     drawn = {"excess": uniform(0.2, 0.9, dry, either=True)}
 
-    def law(self, robot):
+    def act(self, push, x):
         # at most 1.9 times the level itself, so that friction opposes motion both ways
-        most, steepest = 1.9 * dry(robot, self.joint), 1.9 * robot.value(self.joint, "F_v")
-        slope = np.clip(self.values.get("slope", 0.0), -steepest, steepest)
-        return Uneven(np.clip(self.values["excess"], -most, most), slope)
+        most, steepest = 1.9 * dry(self.robot, self.joint), 1.9 * self.robot.value(self.joint, "F_v")
+        excess = np.clip(self.values["excess"], -most, most)
+        push.plus = push.plus + 0.5 * excess
+        push.minus = push.minus - 0.5 * excess
+        if "slope" in self.values:
+            slope = np.clip(self.values["slope"], -steepest, steepest)
+            push.torque = push.torque - 0.5 * slope * np.abs(x.v_m)
 
 
 class UnevenBoth(UnevenDry):
-    """Dry and viscous friction that differ with the direction."""
+    """Dry friction, and viscous friction by ``slope`` [N m s/rad], that differ with the direction."""
 
     sized = ("excess", "slope")
     size_keys = {"excess": "newton_metres_difference", "slope": "newton_metre_seconds_difference"}
@@ -126,18 +128,18 @@ class PreslidingDahl(Effect):
     name, place, sized = "presliding_friction", "motor_friction", ("deflection",)
     size_keys, replaces = {"deflection": "rad_of_deflection"}, True
     drawn = {"deflection": uniform(0.3, 4.0, log=True)}
-    made = Dahl
+    made = LuGre
 
     def install(self, machine, robot):
         drive = self.drive(machine)
         level = without(drive, Coulomb).F_c
-        drive.rotor_laws.append(self.made(level, level / self.values["deflection"]))
+        drive.rotor_laws.append(self.made(level, level / self.values["deflection"], **self.options))
 
 
 class PreslidingLuGre(PreslidingDahl):
     """LuGre's bristles with a little damping of their own."""
 
-    made = LuGre
+    options = {"settling": 0.01}
 
 
 class PreslidingMaxwell(PreslidingDahl):
@@ -171,25 +173,25 @@ class LinkDrag(Effect):
 
 
 class LoadFriction(Effect):
-    """Dry friction with the torque that the gear carries."""
+    """Dry friction ``mu |tau|`` with the torque that the gear carries."""
 
     name, place, sized = "load_dependent_friction", "motor_friction", ("mu",)
     size_keys = {"mu": "share_of_torque"}
     drawn = {"mu": uniform(0.05, 0.3)}
-    by_effort = False
+    needs_carried = True
 
-    def law(self, robot):
-        return LoadDependent(np.minimum(self.values["mu"], 0.6), self.by_effort)
+    def act(self, push, x):
+        push.dry(np.minimum(self.values["mu"], 0.6) * np.abs(x.carried if self.needs_carried else x.effort))
 
 
 class EffortFriction(LoadFriction):
     """Dry friction with the torque of the motor."""
 
-    by_effort = True
+    needs_carried = False
 
 
 class AngleFriction(Effect):
-    """Dry friction that waves over the joint's angle."""
+    """Dry friction that waves over the joint's angle: ``A (1 + sin(n q + phase))``."""
 
     name, place, sized = "position_dependent_friction", "motor_friction", ("amplitude",)
     size_keys = {"amplitude": "newton_metres", "periods": "periods_per_joint_turn"}
@@ -199,18 +201,25 @@ class AngleFriction(Effect):
         "periods": choice(range(1, 9)),
         "phase": uniform(0, 2 * np.pi),
     }
-    made = PositionDependent
+
+    def act(self, push, x):
+        push.dry(
+            self.values["amplitude"] * (1.0 + np.sin(self.values["periods"] * x.q_a + self.values["phase"]))
+        )
 
 
 class TightSpot(AngleFriction):
-    """Dry friction in one narrow range of the joint's angle."""
+    """Dry friction in one narrow range of the joint's angle: ``A exp(-(n (q - phase))^2)``."""
 
     drawn = {
         "amplitude": uniform(0.5, 2.0, dry),
         "periods": uniform(3.0, 8.0),
         "phase": uniform(-0.3, 0.3),
     }
-    options = {"spot": True}
+
+    def act(self, push, x):
+        v = self.values
+        push.dry(v["amplitude"] * np.exp(-((v["periods"] * (x.q_a - v["phase"])) ** 2)))
 
 
 class LinkAngleFriction(AngleFriction):
@@ -219,6 +228,5 @@ class LinkAngleFriction(AngleFriction):
     place, systems = "link_friction", ("one_link_flexible",)
 
     def law(self, robot):
-        v = self.values
-        amplitude = v["amplitude"] * robot.ratio[self.joint]
-        return PositionDependent(amplitude, v["periods"], v["phase"])
+        amplitude = self.values["amplitude"] * robot.ratio[self.joint]
+        return self.with_values({"amplitude": amplitude})

@@ -6,7 +6,7 @@ import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, dry, dry_at_link, uniform
 from hybrid_id.machines.physics.law import Lanes
-from hybrid_id.machines.physics.load import ConstantTorque, Gravity, RestSpring
+from hybrid_id.machines.physics.load import Gravity
 
 GRAVITY = 9.81
 LINK = ("one_link", "one_link_flexible")
@@ -53,7 +53,7 @@ class Tilt(Effect):
 
 
 class Hose(Effect):
-    """A cable or hose that pulls towards a rest angle."""
+    """A cable or hose that pulls towards a rest angle: ``-k d - k_3 d^3`` with d = q_a - rest."""
 
     name, place, sized = "spring_load", "load", ("k",)
     size_keys = {"k": "newton_metres_per_rad_link", "rest": "rest_rad"}
@@ -61,9 +61,9 @@ class Hose(Effect):
     drawn = {"k": uniform(0.3, 1.5, dry_at_link), "rest": uniform(-0.5, 0.5)}
     cubic = 0.0
 
-    def law(self, robot):
-        k = self.values["k"]
-        return RestSpring(k, self.values["rest"], self.cubic * k)
+    def act(self, push, x):
+        k, twist = self.values["k"], x.q_a - self.values["rest"]
+        push.torque = push.torque - (k + self.cubic * k * twist**2) * twist
 
 
 class StiffeningHose(Hose):
@@ -79,10 +79,13 @@ class Bias(Effect):
     signed = ("bias",)
     drawn = {"bias": uniform(0.08, 0.6, dry, either=True, log=True)}
 
+    def act(self, push, x):
+        push.torque = push.torque + self.values["bias"]
+
     def install(self, machine, robot):
         most = 0.95 * dry(robot, self.joint)  # the joint still starts at rest
         bias = np.clip(self.values["bias"], -most, most)
-        self.drive(machine).rotor_laws.append(ConstantTorque(bias))
+        self.drive(machine).rotor_laws.append(self.with_values({"bias": bias}))
 
 
 class WithheldCoupling(Effect):

@@ -3,17 +3,24 @@
 import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, choice, dry, stall, supply, uniform
-from hybrid_id.machines.physics.motor import Cogging, Delay
+from hybrid_id.machines.physics.motor import Cogging
 
 
 class InputDelay(Effect):
-    """Dead time before the amplifier."""
+    """Dead time before the amplifier: ``u(t - delay)``, in fractions of a sample too, as its mean over a step."""
 
     name, place, sized, size_keys = "delay", "input", ("delay",), {"delay": "seconds"}
     drawn = {"delay": uniform(0.003, 0.012, log=True)}
 
+    def volts(self, volts, x):
+        ends = [(x.time + side * x.step - self.values["delay"]) / x.sample_time for side in (-0.5, 0.5)]
+        first, last = (np.floor(end + 1e-9) for end in ends)
+        # a step is no longer than a sample: at most one change of the held command falls into it
+        new = np.where(last > first, (ends[1] - last) * x.sample_time / x.step, 1.0)
+        return (1 - new) * x.commanded(first) + new * x.commanded(last)
+
     def install(self, machine, robot):
-        self.drive(machine).amplifier.insert(0, Delay(self.values["delay"]))
+        self.drive(machine).amplifier.insert(0, self.law(robot))
 
 
 class MeasurementDelay(InputDelay):

@@ -3,19 +3,19 @@
 import numpy as np
 
 from hybrid_id.machines.effects.base import Effect, link_inertia, stall, uniform
-from hybrid_id.machines.physics.transmission import (
-    Gear,
-    HardeningSpring,
-    LinearSpring,
-    Play,
-    PlaySpring,
-)
+from hybrid_id.machines.physics.transmission import Gear, LinearSpring
 
 RIGID = ("one_link", "two_link")
+MOST_LOSS = 3.0
+"""Most that the losses of an impact add to a contact's force, as a factor: steeper ones no step of a fit resolves."""
 
 
 class FlatTeeth(Effect):
-    """Play between flat teeth of a rigid gear."""
+    """Play between flat teeth of a rigid gear, which touch beyond half of the gap.
+
+    ``k p^n (1 + c p')`` of the depth p (Hunt and Crossley, 1975), at most ``MOST_LOSS k p^n``, never pulling; with
+    contact k [N m/rad], loss c [s/rad] and n = 1 for flat teeth.
+    """
 
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
     systems = RIGID
@@ -28,11 +28,12 @@ class FlatTeeth(Effect):
         "loss": uniform(1.0, 8.0, log=True),
     }
 
-    def install(self, machine, robot):
-        v = self.values
+    def torque(self, twist, rate, step):
+        v, side = self.values, np.sign(twist)
         # a stiffness per power of depth that gives the same force one milliradian deep
         contact = v["contact"] * 1e-3 ** (1 - self.exponent)
-        self.drive(machine).spring = Play(v["gap"], contact, v["loss"], self.exponent)
+        depth = np.maximum(np.abs(twist) - 0.5 * v["gap"], 0.0)
+        return side * contact * depth**self.exponent * np.clip(1 + v["loss"] * side * rate, 0.0, MOST_LOSS)
 
 
 class RoundTeeth(FlatTeeth):
@@ -42,15 +43,17 @@ class RoundTeeth(FlatTeeth):
 
 
 class PlayBeforeSpring(Effect):
-    """Play in series with the spring of a flexible gear."""
+    """Play in series with the spring of a flexible gear, which carries beyond half of the gap and never pulls."""
 
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
     systems, replaces = ("one_link_flexible",), True
     drawn = {"gap": uniform(0.005, 0.05, log=True)}
 
-    def install(self, machine, robot):
-        spring = PlaySpring(self.values["gap"], robot.values["k"], robot.values["d"])
-        self.drive(machine).spring = spring
+    def torque(self, twist, rate, step):
+        side, own = np.sign(twist), self.robot.values
+        depth = np.abs(twist) - 0.5 * self.values["gap"]
+        force = own["k"] * depth + own["d"] * side * rate
+        return np.where(depth > 0, side * np.maximum(force, 0.0), 0.0)
 
 
 class SoftGear(Effect):
@@ -84,7 +87,7 @@ class SlightlyHardSoftGear(SoftGear):
     def install(self, machine, robot):
         k, damping = self.spring(robot)
         twist = 0.3 * stall(robot, self.joint) * robot.ratio[self.joint] / k
-        self.drive(machine).spring = HardeningSpring(k, damping, 0.1 * k / twist**2)
+        self.drive(machine).spring = LinearSpring(k, damping, 0.1 * k / twist**2)
 
 
 class CubicSpring(Effect):
@@ -98,7 +101,7 @@ class CubicSpring(Effect):
         k = robot.values["k"]
         twist = stall(robot, self.joint) * robot.ratio[self.joint] / k
         stiffer = self.values["stiffening"] * k / twist**2
-        self.drive(machine).spring = HardeningSpring(k, robot.values["d"], stiffer)
+        self.drive(machine).spring = LinearSpring(k, robot.values["d"], stiffer)
 
 
 class SteppedSpring(CubicSpring):

@@ -28,29 +28,6 @@ class Coulomb(Law):
 
 
 @dataclass
-class Stribeck(Law):
-    """Dry friction ``drop s(|v| / v_s)`` above Coulomb's, by one of three shapes.
-
-    exponential ``exp(-x)`` (Tustin), gaussian ``exp(-x^2)`` (Bo and Pavelescu), lorentzian ``1 / (1 + x^2)`` (Hess and
-    Soom); drop [N m], v_s [rad/s].
-    """
-
-    drop: Lanes
-    v_s: Lanes
-    shape: str = "gaussian"
-
-    def act(self, push: Push, x: Signals) -> None:
-        ratio = np.abs(self.speed(x)) / self.v_s
-        if self.shape == "exponential":
-            share = np.exp(-ratio)
-        elif self.shape == "gaussian":
-            share = np.exp(-(ratio**2))
-        else:
-            share = 1 / (1 + ratio**2)
-        push.dry(self.drop * share)
-
-
-@dataclass
 class AsymmetricStribeck(Law):
     """Asymmetric Stribeck friction, eq. (15) of the paper, its Neg read as -Pos(-v); viscous friction is `Viscous`.
 
@@ -112,19 +89,6 @@ class AsymmetricTanh(Law):
 
 
 @dataclass
-class Uneven(Law):
-    """Friction higher forwards than backwards: dry by ``excess`` [N m], viscous by ``slope`` [N m s/rad]."""
-
-    excess: Lanes
-    slope: Lanes = 0.0
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.plus = push.plus + 0.5 * self.excess
-        push.minus = push.minus - 0.5 * self.excess
-        push.torque = push.torque - 0.5 * self.slope * np.abs(self.speed(x))
-
-
-@dataclass
 class Power(Law):
     """``F |v| v``, the drag of a fan; F [N m s^2/rad^2]."""
 
@@ -136,64 +100,8 @@ class Power(Law):
 
 
 @dataclass
-class LoadDependent(Law):
-    """Dry friction ``mu |tau|`` of the torque through the gear, or of the motor's own (`by_effort`)."""
-
-    mu: Lanes
-    by_effort: bool = False
-
-    def __post_init__(self) -> None:
-        self.needs_carried = not self.by_effort
-
-    def act(self, push: Push, x: Signals) -> None:
-        push.dry(self.mu * np.abs(x.effort if self.by_effort else x.carried))
-
-
-@dataclass
-class PositionDependent(Law):
-    """Dry friction over the joint's angle: ``A (mean + sin(n q + phi))``, of a tight spot ``A exp(-(n (q - phi))^2)``.
-
-    A [N m] at the body that it acts on; q is the link's angle on either side of the gear.
-    """
-
-    amplitude: Lanes
-    periods: float
-    phase: float
-    spot: bool = False
-    mean: float = 1.0
-
-    def act(self, push: Push, x: Signals) -> None:
-        if self.spot:
-            push.dry(self.amplitude * np.exp(-((self.periods * (x.q_a - self.phase)) ** 2)))
-        else:
-            push.dry(self.amplitude * (self.mean + np.sin(self.periods * x.q_a + self.phase)))
-
-
-@dataclass
-class Dahl(Law):
-    """``F' = s (v - |v| F / F_c)`` (Dahl, 1968, exponent 1), stepped exactly for a held speed.
-
-    s [N m/rad], F_c [N m].
-    """
-
-    F_c: Lanes
-    stiffness: Lanes
-    _force: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
-
-    def start(self, lanes: int) -> None:
-        self._force = np.zeros(lanes)
-
-    def act(self, push: Push, x: Signals) -> None:
-        speed = self.speed(x)
-        end = self.F_c * np.sign(speed)
-        after = end + (self._force - end) * np.exp(-self.stiffness * np.abs(speed) * x.step / self.F_c)
-        push.torque = push.torque - 0.5 * (self._force + after)
-        self._force = after
-
-
-@dataclass
 class LuGre(Law):
-    """``z' = v - s |v| z / F_c``, ``F = s z + d z'``: bristles.
+    """``z' = v - s |v| z / F_c``, ``F = s z + d z'``: bristles; without d, Dahl's law (1968, exponent 1).
 
     Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995, without their Stribeck curve; s [N m/rad], and
     d = `settling` s with a time [s]; the viscous part of the law belongs to `Viscous`.
@@ -201,7 +109,7 @@ class LuGre(Law):
 
     F_c: Lanes
     stiffness: Lanes
-    settling: Lanes = 0.01
+    settling: Lanes = 0.0
     _z: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
 
     def start(self, lanes: int) -> None:

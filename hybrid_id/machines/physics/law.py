@@ -62,7 +62,7 @@ class Push:
 
 
 class Law:
-    """A law with parameters as attributes, each a `Lanes`, and states that `start` sets.
+    """A law of a body, an amplifier or a spring; parameters are attributes, each a `Lanes`, and `start` sets states.
 
     Attributes:
         on_link: whether it acts on the link, where speed and torque are those of the joint.
@@ -79,17 +79,14 @@ class Law:
         """Add what the law contributes, and move its states on by one step."""
         raise NotImplementedError
 
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        """What a law between command and motor makes of a voltage (B,) [V]."""
+        raise NotImplementedError
+
+    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
+        """Torque on the link (B,) [N m] of a spring behind the gear: its twist [rad] and its rate [rad/s]."""
+        raise NotImplementedError
+
     def speed(self, x: Signals) -> np.ndarray:
         """Speed of the body that the law acts on."""
         return x.v_a if self.on_link else x.v_m
-
-
-class InputLaw:
-    """A law between the command and the motor's terminals."""
-
-    def start(self, lanes: int) -> None:
-        """Set the states of B runs to rest."""
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        """Voltage behind the law (B,) [V]."""
-        raise NotImplementedError

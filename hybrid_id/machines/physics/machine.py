@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
+from hybrid_id.machines.physics.law import Lanes, Law, Push, Signals
 from hybrid_id.machines.physics.motor import Motor
 from hybrid_id.machines.physics.steps import Place, Steps
-from hybrid_id.machines.physics.transmission import Gear, Spring
+from hybrid_id.machines.physics.transmission import Gear
 
 
 @dataclass
@@ -79,10 +79,10 @@ class Drive:
     gear: Gear
     rotor: Lanes
     motor: Motor
-    amplifier: list[InputLaw] = field(default_factory=list)
+    amplifier: list[Law] = field(default_factory=list)
     rotor_laws: list[Law] = field(default_factory=list)
     link_laws: list[Law] = field(default_factory=list)
-    spring: Spring | None = None
+    spring: Law | None = None
     sensor_delay: Lanes | None = None
     sensor_zero: Lanes = 0.0
 
@@ -94,7 +94,7 @@ class Drive:
         x.q_m, x.q_a = angle * self.gear.ratio, angle.copy()
         self.needs_carried = any(law.needs_carried for law in self.rotor_laws)
 
-    def laws(self) -> list[InputLaw | Law | Spring]:
+    def laws(self) -> list[Law]:
         """What may have a memory beside the motor."""
         spring = [self.spring] if self.spring else []
         return [*self.amplifier, *self.rotor_laws, *self.link_laws, *spring]

@@ -5,21 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
-
-
-@dataclass
-class Delay(InputLaw):
-    """Dead time: ``u(t - delay)``, in fractions of a sample too, as its mean over a step; delay [s]."""
-
-    delay: Lanes
-
-    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        ends = [(x.time + side * x.step - self.delay) / x.sample_time for side in (-0.5, 0.5)]
-        first, last = (np.floor(end + 1e-9) for end in ends)
-        # a step is no longer than a sample: at most one change of the held command falls into it
-        new = np.where(last > first, (ends[1] - last) * x.sample_time / x.step, 1.0)
-        return (1 - new) * x.commanded(first) + new * x.commanded(last)
+from hybrid_id.machines.physics.law import Lanes, Law, Push, Signals
 
 
 @dataclass

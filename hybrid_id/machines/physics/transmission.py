@@ -5,10 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.machines.physics.law import Lanes
-
-MOST_LOSS = 3.0
-"""Most that the losses of an impact add to a contact's force, as a factor: steeper ones no step of a fit resolves."""
+from hybrid_id.machines.physics.law import Lanes, Law
 
 
 @dataclass
@@ -42,30 +39,20 @@ class Gear:
         return curvature
 
 
-class Spring:
-    """A connection with torque of its own between the gear's end and the link, at the link's side."""
-
-    def start(self, lanes: int) -> None:
-        """Set the states of B runs to rest."""
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        """Torque on the link (B,) [N m] of a twist [rad] and its rate [rad/s]."""
-        raise NotImplementedError
-
-
 @dataclass
-class LinearSpring(Spring):
-    """``k d + damping d'``; k [N m/rad], damping [N m s/rad]."""
+class LinearSpring(Law):
+    """``k d + k_3 d^3 + damping d'``; k [N m/rad], damping [N m s/rad], k_3 [N m/rad^3] of one that hardens."""
 
     k: Lanes
     damping: Lanes
+    k_3: Lanes = 0.0
 
     def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        return self.k * twist + self.damping * rate
+        return (self.k + self.k_3 * twist**2) * twist + self.damping * rate
 
 
 @dataclass
-class BacklashFlexibility(Spring):
+class BacklashFlexibility(Law):
     """A spring that gives way around zero, eq. (12) of the paper: tau_s = k d (1 - sech(beta d)^alpha).
 
     | symbol | meaning | unit |
@@ -89,52 +76,3 @@ class BacklashFlexibility(Spring):
             sharp + np.log1p(np.exp(-2 * sharp)) - np.log(2.0),
         )
         return -self.k * twist * np.expm1(-self.alpha * log_cosh)
-
-
-@dataclass
-class HardeningSpring(Spring):
-    """``k d + k_3 d^3 + damping d'``; k_3 [N m/rad^3]."""
-
-    k: Lanes
-    damping: Lanes
-    k_3: Lanes
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        return (self.k + self.k_3 * twist**2) * twist + self.damping * rate
-
-
-@dataclass
-class Play(Spring):
-    """Teeth that touch beyond half of the gap: ``k p^n (1 + c p')`` of the depth p, at most ``3 k p^n``, never pulling.
-
-    | symbol | meaning | unit |
-    | --- | --- | --- |
-    | gap | total play | rad |
-    | k, n | contact stiffness; 1 for flat, 1.5 for round teeth (Hertz) | N m/rad^n, 1 |
-    | c | losses of the impact (Hunt and Crossley, 1975) | s/rad |
-    """
-
-    gap: Lanes
-    k: Lanes
-    c: Lanes
-    exponent: float = 1.0
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        side = np.sign(twist)
-        depth = np.maximum(np.abs(twist) - 0.5 * self.gap, 0.0)
-        return side * self.k * depth**self.exponent * np.clip(1 + self.c * side * rate, 0.0, MOST_LOSS)
-
-
-@dataclass
-class PlaySpring(Spring):
-    """A spring with play in series: ``k p + damping p'`` of the twist p beyond half of the gap, never pulling."""
-
-    gap: Lanes
-    k: Lanes
-    damping: Lanes
-
-    def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
-        side = np.sign(twist)
-        depth = np.abs(twist) - 0.5 * self.gap
-        force = self.k * depth + self.damping * side * rate
-        return np.where(depth > 0, side * np.maximum(force, 0.0), 0.0)
