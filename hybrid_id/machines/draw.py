@@ -1,9 +1,9 @@
 """Draws a single drive or two links with something at work: the machine, its effects, its experiments, and their sizes.
 
-A clean machine has one effect, or two, in a size that gives a wanted level. A messy one has dominant effects among
-several small ones, friction that drifts from record to record, encoders that are eccentric, miss counts and are read a
-little apart, and at times a model file that lacks a part that the others stand in for. Sizes are found on the machine
-itself: its records are made, the nominal model is re-fitted, and the size is put right.
+A machine has one dominant effect, or two: of a clean one in a size that gives a wanted level. A messy one is the same
+with several small effects, friction that drifts from record to record, encoders that are eccentric, miss counts and are
+read a little apart, and at times a model file that lacks a part that the others stand in for. Sizes are found on the
+machine itself: its records are made, the nominal model is re-fitted, and the size is put right.
 """
 
 from collections.abc import Sequence
@@ -36,17 +36,10 @@ PLAIN = 1.5
 LEAST, SEEN = 1.15, 1.1
 """Re-fit over noise of a case with effects, at least: on the test records, and on the train records, where those who
 diagnose have to see it."""
-NEEDED = 1.2
-"""Re-fit with one effect of a pair alone over the error of both, at least, on the test records; on the train records
-`SEEN`."""
-FARTHEST = 1.15
-"""Largest error of both effects of a pair, re-fitted, over the noise floor, by which each alone is judged."""
 NOISE = (0.002, 0.03)
 """Encoders' noise relative to the motion in the test records."""
-APART = 1.25
-"""Factor by which two of the starts of a re-fit lie off the true values, every second parameter up, the others down."""
 ROUNDS, QUICK, BRIEF = 45, 6, 8
-"""Evaluations of a re-fit: to the end, to find a level, and of a messy machine, whose fits start near their end."""
+"""Evaluations of a re-fit: to the end, to find a size, and of a messy machine, whose fits start near their end."""
 
 LENGTHS = (2100, 3500)
 """Shortest and longest record of messy machines [samples]."""
@@ -130,7 +123,7 @@ def draw_drive(
         wrong = rng.uniform(0.08, 0.32)
     if family == "none":
         wrong = 0.0
-    about = _About(case, drift, withheld, wrong)
+    about = _About(case, drift, withheld, wrong, messy)
     if family in SOUND:
         trials = about.trials(())
         made = trials.record([()], drift)
@@ -138,12 +131,8 @@ def draw_drive(
         base = trials.fit([Simulator(0, (), trials.true)], made, rounds=ROUNDS)[0]
         graded = about.graded(rng, trials, made[0], floor, base, ())
         shows = family == "none" or graded.nominal >= PLAIN * graded.refit
-        if not shows or not graded.refit <= (HARMLESS if messy else SEEN) * graded.floor:
-            return None
-        return about.messy(graded) if messy else graded
-    if messy:
-        return _mixed(rng, about, leaders, small, family)
-    return _levelled(rng, about, leaders, family, level or "medium")
+        return graded if shows and graded.refit <= (HARMLESS if messy else SEEN) * graded.floor else None
+    return _mixed(rng, about, leaders, small, family, level or "medium")
 
 
 def _draw_leaders(
@@ -261,12 +250,14 @@ class _About:
         drift: factors on friction (n_joints, R).
         withheld: harmless parameters that the model file lacks.
         wrong: share by which nominal values are off, at most.
+        messy: whether answers tell of what is small in it.
     """
 
     case: Case
     drift: np.ndarray
     withheld: tuple[str, ...]
     wrong: float
+    messy: bool
 
     def trials(self, effects: Sequence[Effect]) -> Trials:
         """Trials with some effects."""
@@ -291,11 +282,6 @@ class _About:
         best = floor.test if parts else base.test
         level = level_of(base.test / floor.test) if parts else "none"
         notes = {"refit_over_floor_on_train_records": round(float(np.sqrt(base.train / floor.train)), 2)}
-        return Graded(case, measured, nominal.test, base.test, best, floor.test, level, parts, notes)
-
-    def messy(self, graded: Graded) -> Graded:
-        """What the answers say of a messy machine."""
-        parts, encoders = graded.parts, self.case.campaign.encoders
         about: dict[str, Any] = {
             "small_share": round(sum(p.shares["share"] for p in parts if p.shares["role"] == "small"), 4),
             "outside_share": round(sum(p.shares["share"] for p in parts if p.effect.name == UNKNOWN), 4),
@@ -303,107 +289,60 @@ class _About:
             "drift_of_friction": [short(std) for std in self.drift.std(axis=1)],
             "harmless_parameters_not_in_model": list(self.withheld),
         }
+        encoders = self.case.campaign.encoders
         if encoders.flaws is not None:
             about["encoders"] = {
                 "ripple_over_noise": [short(v) for v in encoders.flaws.ripple / noise_std(encoders)],
                 "late_seconds": [short(v) for v in encoders.flaws.late * SAMPLE_TIME],
                 "samples_with_missed_counts": short(np.mean(encoders.flaws.lost != 0)),
             }
-        return replace(graded, more={"messy": about})
-
-
-def _levelled(
-    rng: np.random.Generator, about: _About, effects: Sequence[Effect], family: str, level: str
-) -> Graded | None:
-    """A clean machine, its effects each in a size that alone gives a level, and of two each needed."""
-    band = np.array(BANDS["medium" if len(effects) > 1 and level == "weak" else level])
-    goal = np.full(len(effects), np.sqrt(band.prod()) - 1)
-    lifted = _lifted(about.trials(effects), about.drift, range(len(effects)), goal, list(band - 1))
-    if len(lifted) < len(effects):
-        return None
-    sized = [one.scaled(lifted[i][0]) for i, one in enumerate(effects)]
-    trials = about.trials(sized)
-    whole, nothing = (1.0,) * len(effects), (0.0,) * len(effects)
-    made = trials.record([whole], about.drift)
-    floor = trials.floors([whole], made)[0]
-    true = Simulator(0, nothing, trials.true)
-    starts = [true]
-    for turn in (0, 1):
-        moved = {n: v * APART ** (1 - 2 * ((i + turn) % 2)) for i, (n, v) in enumerate(true.values.items())}
-        starts.append(replace(true, values=moved))
-    base = trials.best_fit(starts, made, rounds=ROUNDS)
-    # a re-fit that has run away says nothing of how hard the case is
-    if not base.test >= LEAST * floor.test or not base.train >= SEEN**2 * floor.train or not base.test < 5.0:
-        return None
-    own = [_having(trials, made, (base, true), range(len(effects)))]
-    alone = [_having(trials, made, (base, true), [i]) for i in range(len(effects))]
-    notes: dict[str, Any] = {}
-    if len(effects) > 1:
-        # each is needed beside the other, and both together come down to the noise
-        if not own[0].test <= FARTHEST * floor.test:
-            return None
-        ratios = [(one.test / own[0].test, float(np.sqrt(one.train / own[0].train))) for one in alone]
-        if not all(test >= NEEDED and train >= SEEN for test, train in ratios):
-            return None
-        named = zip(trials.effects, ratios, strict=True)
-        notes["with_only_over_both"] = {
-            one.name: {"test": round(test, 2), "train": round(train, 2)} for one, (test, train) in named
-        }
-    parts = []
-    for i, one in enumerate(trials.effects):
-        before = alone[1 - i] if len(effects) > 1 else base
-        parts.append(Part(one, find_rivals(rng, trials, made, before, own[0], i)))
-    # what a named effect explains but for less than is called an effect at all is not outside the catalogue
-    ratios = [rival.ratio for part in parts for rival in part.rivals] if family == UNKNOWN else []
-    if not all(ratio >= LEAST for ratio in ratios):
-        return None
-    graded = about.graded(rng, trials, made[0], floor, base, parts)
-    hardness = min([base.test / floor.test, *ratios])
-    return replace(graded, level=level_of(hardness), notes={**graded.notes, **notes})
-
-
-def _having(
-    trials: Trials, made: Sequence[Measured], starts: Sequence[Simulator], some: Sequence[int]
-) -> Simulator:
-    """The nominal model with some of the effects, fitted from several sizes, since alone one may do another's work."""
-    tried = [
-        replace(start, sizes=tuple(size * (i in some) for i in range(len(trials.effects))), free=tuple(some))
-        for start in starts
-        for size in (0.5, 1.0, 2.2)
-    ]
-    return trials.best_fit(tried, made, rounds=ROUNDS)
+        more = {"messy": about} if self.messy else {}
+        return Graded(case, measured, nominal.test, base.test, best, floor.test, level, parts, notes, more)
 
 
 def _mixed(
-    rng: np.random.Generator, about: _About, candidates: list[Effect], small: list[Effect], family: str
+    rng: np.random.Generator,
+    about: _About,
+    candidates: list[Effect],
+    small: list[Effect],
+    family: str,
+    level: str,
 ) -> Graded | None:
-    """A machine with dominant and small effects."""
+    """A machine with dominant effects, of a clean one in a level's size, of a messy one among small ones."""
     leaders, effects = LEADERS[family], [*candidates, *small]
-    trials = about.trials(effects)
-    wanted = np.exp(rng.uniform(np.log(WANTED_LIFT[0]), np.log(WANTED_LIFT[1]), len(small)))
-    lifted = _lifted(trials, about.drift, range(len(candidates), len(effects)), wanted, LIFT)
-    kept = [(i, *one) for i, one in lifted.items()][: len(small) - SPARE]
-    if len(kept) < FEWEST:
-        return None
-    kept.sort(key=lambda one: -one[2])
-    goal = np.full(leaders, rng.uniform(*WANTED_SHARE[family]))
-    # squares add up: of the gap that all small ones open, the leading ones are to close their share
-    squares = sum((1 + lift) ** 2 - 1 for _, _, lift in kept) * goal / max(1 - goal.sum(), 0.07)
-    lead = float(np.sqrt(1 + squares[0]) - 1)
-    among = _lifted(
-        trials, about.drift, range(len(candidates)), np.full(len(candidates), lead), (0.4 * lead, 2.5 * lead)
-    )
+    trials, kept = about.trials(effects), list[tuple[int, float, float]]()
+    if about.messy:
+        wanted = np.exp(rng.uniform(np.log(WANTED_LIFT[0]), np.log(WANTED_LIFT[1]), len(small)))
+        lifted = _lifted(trials, about.drift, range(len(candidates), len(effects)), wanted, LIFT)
+        kept = [(i, *size_and_lift) for i, size_and_lift in lifted.items()][: len(small) - SPARE]
+        if len(kept) < FEWEST:
+            return None
+        kept.sort(key=lambda effect: -effect[2])
+        goal = np.full(leaders, rng.uniform(*WANTED_SHARE[family]))
+        # squares add up: of the gap that all small ones open, the leading ones are to close their share
+        squares = sum((1 + lift) ** 2 - 1 for _, _, lift in kept) * goal / max(1 - goal.sum(), 0.07)
+        lead = float(np.sqrt(1 + squares[0]) - 1)
+        band = 0.4 * lead, 2.5 * lead
+    else:
+        goal = np.full(leaders, 1.0 / leaders)
+        least, most = BANDS["medium" if leaders > 1 and level == "weak" else level]
+        lead, band = float(np.sqrt(least * most) - 1), (least - 1, most - 1)
+    wanted = np.full(len(candidates), lead)
+    among = _lifted(trials, about.drift, range(len(candidates)), wanted, band)
     for leading in islice(combinations(among, leaders), ATTEMPTS):
         sizes = np.array([among[i][0] for i in leading] + [size for _, size, _ in kept])
         acting = about.trials([effects[i] for i in (*leading, *(i for i, _, _ in kept))])
-        found = _settled(acting, about.drift, sizes, goal)
-        if found is None:
+        settled = _settled(acting, about.drift, sizes, goal, rounds=BRIEF if about.messy else ROUNDS)
+        if settled is None:
             continue
-        parts = _parts(rng, acting, *found, [lift for _, _, lift in kept])
+        _, made, floor, base, _ = settled
+        # a re-fit that has run away says nothing of how hard the case is
+        if not LEAST * floor.test <= base.test < 5.0 or not base.train >= SEEN**2 * floor.train:
+            continue
+        parts = _parts(rng, acting, *settled, [lift for _, _, lift in kept])
         outside = sum(part.shares["share"] for part in parts if part.effect.name == UNKNOWN)
         if parts and (outside >= 0.5) == (family == UNKNOWN):
-            _, made, floor, base, _ = found
-            return about.messy(about.graded(rng, acting, made, floor, base, parts))
+            return about.graded(rng, acting, made, floor, base, parts)
     return None
 
 
@@ -437,24 +376,25 @@ def _lifted(
 
 
 def _settled(
-    trials: Trials, drift: np.ndarray, sizes: np.ndarray, goal: np.ndarray
+    trials: Trials, drift: np.ndarray, sizes: np.ndarray, goal: np.ndarray, *, rounds: int
 ) -> tuple[np.ndarray, Measured, Simulator, Simulator, list[Simulator]] | None:
     """The mixture with leading effects so large that they dominate; None where they do not.
 
-    Factors of all effects, records, the machine itself, the re-fitted model, and that with each leading effect.
+    Returns factors of all effects, records, the machine itself, the re-fitted model, and that with each leading effect.
     """
     count, leaders, values = len(sizes), len(goal), trials.true
     for _ in range(CORRECTIONS):
-        having = [tuple(np.where(np.arange(count) == i, sizes, 0.0)) for i in range(-1, leaders + WATCHED)]
+        watched = range(-1, min(leaders + WATCHED, count))
+        having = [tuple(np.where(np.arange(count) == i, sizes, 0.0)) for i in watched]
         starts = [Simulator(0, own, values, free=(i - 1,) * (i > 0)) for i, own in enumerate(having)]
         made = trials.record([tuple(sizes)], drift)
         floor = trials.floors([tuple(sizes)], made)[0]
-        base, *alone = trials.fit(starts, made, rounds=BRIEF)
+        base, *alone = trials.fit(starts, made, rounds=rounds)
         gap = base.test**2 - floor.test**2
         closes = np.array([(base.test**2 - one.test**2) / gap for one in alone])
         if not np.isfinite([floor.test, *closes]).all() or gap <= 0:
             return None
-        own, next_one = closes[:leaders], closes[leaders:].max()
+        own, next_one = closes[:leaders], closes[leaders:].max(initial=0.0)
         if own.min() >= max(DOMINANT, TWICE * next_one):
             trained = [(base.train - one.train) / (base.train - 1) for one in alone[:leaders]]
             seen = max(trained) >= TRAIN_SHARE and min(trained) >= SECOND_SHARE
@@ -462,7 +402,7 @@ def _settled(
         if own.min() < HOPELESS:
             return None
         # shares grow with the square of the sizes, and what the leading ones leave is that of all others
-        others = np.clip(1 - own.sum(), 0.05, 1.0) / max(1 - goal.sum(), 0.07)
+        others = np.clip(1 - own.sum(), 0.05, 1.0) / max(1 - goal.sum(), 0.07) if count > leaders else 1.0
         sizes = sizes.copy()
         sizes[:leaders] *= np.clip(np.sqrt(goal / np.maximum(own, HOPELESS) * others), 0.55, 1.9)
         values = base.values
@@ -494,13 +434,13 @@ def _parts(
     nested = [having(order[:k], trials.true) for k in range(2, count)]
     single = [having([i], base.values) for i in range(leaders, count)]
     fits = trials.fit([*nested, *single], made, rounds=QUICK)
-    steps = [base, leading[order[0]], *fits[: len(nested)]]
+    steps = [base, leading[order[0]], *fits[: len(nested)]][:count]
     alone = [*leading, *fits[len(nested) :]]
     gap, gap_train = base.test**2 - floor.test**2, base.train - 1
     closes = [(base.test**2 - one.test**2) / gap for one in alone]
     shares = dict(zip(order, -np.diff([*(one.test**2 for one in steps), floor.test**2]) / gap, strict=True))
     shares_train = dict(zip(order, -np.diff([*(one.train for one in steps), 1.0]) / gap_train, strict=True))
-    if min(closes[:leaders]) < TWICE * max(closes[leaders:]) or min(shares.values()) < -TANGLED:
+    if min(closes[:leaders]) < TWICE * max(closes[leaders:], default=0.0) or min(shares.values()) < -TANGLED:
         return ()
     if min(shares[i] for i in order[:leaders]) < ADDS:  # one does the other's work
         return ()

@@ -34,13 +34,11 @@ class Rival:
         effect: as it was fitted.
         rest: share of what the true effect closes (mean square) that it leaves on the test records.
         counts: whether it is as good an answer as the true effect.
-        ratio: its error on the test records over that of the true effect.
     """
 
     effect: Effect
     rest: float
     counts: bool
-    ratio: float
 
 
 def find_rivals(
@@ -126,5 +124,5 @@ def find_rivals(
         counts = fit.test <= CLOSE * own.test and rest < REST
         if on_train:
             counts &= fit.train <= CLOSE**2 * own.train
-        found.append(Rival(tried.with_values(fit, i), float(rest), bool(counts), float(fit.test / own.test)))
+        found.append(Rival(tried.with_values(fit, i), float(rest), bool(counts)))
     return sorted(found, key=lambda rival: rival.rest)

@@ -141,7 +141,7 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
     if chosen and not unknown and asked:
         word = next((t["name"] for t in leading if word in t["accept"]), word)
     leads = None
-    if asked and all("closes_train" in t for t in truth):
+    if asked and messy and all("closes_train" in t for t in truth):
         small = [t["closes_train"] for t in truth if t["role"] == "small"]
         leads = max(t["closes_train"] for t in leading) > max(small, default=-math.inf)
     joint = tied = None

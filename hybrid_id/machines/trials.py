@@ -275,12 +275,6 @@ class Trials:
         """The same experiments with other effects, beside these."""
         return Trials(self.bare, effects, self.campaign, beside=self.effects)
 
-    def best_fit(
-        self, starts: Sequence[Simulator], measured: Sequence[Measured], *, rounds: int
-    ) -> Simulator:
-        """The fit from several starts that errs least on the train records; not finite where none ends."""
-        return min(self.fit(starts, measured, rounds=rounds), key=lambda fit: fit.train)
-
     def with_values(self, fit: Simulator, number: int) -> Effect:
         """An effect as it was fitted."""
         shapes = {key: value for (i, key), value in fit.shapes.items() if i == number}

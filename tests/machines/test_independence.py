@@ -44,7 +44,7 @@ SAME_MEANING = {
     "TRIVIAL": "part of the definition of the calibration error, stated to both sides",
 }
 """Named constants of the generator that tell nothing of a decision of the diagnosis."""
-CLEAN_ONLY = {"LEAST", "SEEN", "PLAIN", "RIGHT", "WRONG", "CLOSE", "ENOUGH", "FARTHEST", "NEEDED"}
+CLEAN_ONLY = {"LEAST", "SEEN", "PLAIN", "RIGHT", "WRONG", "CLOSE", "ENOUGH"}
 """Named constants of clean cases, whose published seeds have to stay as they are; messy machines have their own."""
 OF_CLEAN = tuple(f"machines/{name}.py" for name in ("draw", "make", "score", "rivals"))
 OTHER_QUANTITY = {

@@ -67,8 +67,8 @@ def test_each_effect_of_a_pair_is_needed(tmp_path: Path) -> None:
     wish = {"family": "pair", "effect": "constant_torque", "system": "one_link"}
     answers = answers_of(make_case(5, tmp_path, **wish))
     assert len(answers["effects"]) == 2 and answers["effects"][0]["name"] == "constant_torque"
-    for ratio in answers["notes"]["with_only_over_both"].values():
-        assert ratio["test"] >= draw.NEEDED and ratio["train"] >= draw.SEEN
+    for effect in answers["effects"]:
+        assert effect["closes"] >= draw.DOMINANT and effect["share"] >= draw.ADDS
 
 
 def test_winding_that_lags_is_nearly_as_good_an_answer_as_a_short_delay(tmp_path: Path) -> None:
