@@ -1,6 +1,5 @@
 """The experiments of a case: signals as engineers and robots command them, controllers, disturbances, encoders."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +9,6 @@ from hybrid_id.machines.robots import Robot
 
 RESTING = 0.1
 """Time at the start of each record without voltage [s]."""
-
-Wave = Callable[[np.random.Generator, np.ndarray], np.ndarray]
-"""A signal of about unit size over time (T,) [s], zero at its start."""
 
 
 def multisine(rng: np.random.Generator, time: np.ndarray, low: float = 0.15, high: float = 3.0) -> np.ndarray:
@@ -173,7 +169,6 @@ def draw_campaign(
     rng: np.random.Generator,
     robot: Robot,
     *,
-    coarse: float | None = None,
     lengths: tuple[int, int] | None = None,
 ) -> Campaign:
     """Plan six train and two test records.
@@ -181,7 +176,6 @@ def draw_campaign(
     Args:
         rng: source of all that is random.
         robot: sets amplitudes, gains and limits.
-        coarse: quantum of the rotor's encoder [rad]; drawn from 8 to 128 counts a turn by default.
         lengths: shortest and longest record [samples]; `LENGTHS` by default.
     """
     train, test = (part.split() for part in str(rng.choice(PLANS)).split("|"))
@@ -201,7 +195,7 @@ def draw_campaign(
     limit = np.full((joints, lanes), robot.supply)
     disturbance = np.stack([_torque(rng, robot, i, time, lanes) for i in range(joints)], axis=1)
     program = Program(feed, reference, kp, kd, ki, limit, disturbance)
-    encoders = _encoders(rng, robot, samples, lanes, coarse)
+    encoders = _encoders(rng, robot, samples, lanes)
     roles = ("train",) * len(train) + ("test",) * len(test)
     return Campaign(program, encoders, counts, tuple(NOTES[kind] for kind in kinds), roles)
 
@@ -265,11 +259,9 @@ def _torque(rng: np.random.Generator, robot: Robot, joint: int, time: np.ndarray
     return size * wave
 
 
-def _encoders(
-    rng: np.random.Generator, robot: Robot, samples: int, lanes: int, coarse: float | None
-) -> Encoders:
-    """Incremental encoders, jitter of a third to four fifths of a count."""
-    count = coarse or 2 * np.pi / float(rng.choice([128, 64, 64, 64, 32, 16, 16, 8]))
+def _encoders(rng: np.random.Generator, robot: Robot, samples: int, lanes: int) -> Encoders:
+    """Incremental encoders of 8 to 128 counts a turn, jitter of a third to four fifths of a count."""
+    count = 2 * np.pi / float(rng.choice([128, 64, 64, 64, 32, 16, 16, 8]))
     quantum = [count] * robot.joints
     if robot.link_encoder:
         quantum.append(2 * np.pi / float(rng.choice([1024, 2048, 4096])))

@@ -128,7 +128,7 @@ class Moved:
 class Masses(Effect):
     """Small errors of the masses that a joint carries, all together."""
 
-    sized, size_keys = (), {"share": "share"}
+    sized = ()
 
 
 @dataclass(frozen=True, eq=False)

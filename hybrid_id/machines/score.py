@@ -164,9 +164,9 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         ratio = answers["oracle"]["nominal"] / answers["oracle"]["refit"]
         if not RIGHT < ratio < WRONG:
             values = said["verdict"] == ("no_gap" if ratio <= RIGHT else "parameters_only")
-    # further test records have other errors than those that the answers tell of; and an arm's answers hold joints by
-    # themselves over whole records, while a diagnosis simulates all joints, over as long as they follow
-    adds = family in ("single", "pair") and not said.get("opened") and not of_arm
+    # an arm's answers hold joints by themselves over whole records, while a diagnosis simulates all joints, over as
+    # long as they follow
+    adds = family in ("single", "pair") and not of_arm
     error = covered = closed = None
     # before and after are measured on the test records; what a diagnosis has to guess is the noise floor
     if adds and chosen and before is not None and after is not None and shrink is not None:
@@ -359,7 +359,6 @@ def median(values: Sequence[float]) -> Score:
         "low": float(ordered[rank - 1]) if known else None,
         "high": float(ordered[n - rank]) if known else None,
         "n": n,
-        "least": float(ordered[0]),
         "most": float(ordered[-1]),
     }
 

@@ -110,7 +110,7 @@ def test_arm_holds_records_a_description_and_answers_apart(tmp_path: Path) -> No
     assert min(first["closes"], first["closes_train"]) >= draw_arm.DOMINANT
     assert all(one["role"] == "small" and one["closes_train"] < first["closes_train"] for one in small)
     assert truth["oracle"]["noise_floor"] < truth["oracle"]["refit"] < truth["oracle"]["nominal"]
-    assert truth["arm"]["joints"] == 2 and first["size"]["newton_metres"]
+    assert truth["arm"]["joints"] == 2 and first["size"]["bias"]
     text = (case / "arm.xml").read_text()
     assert text.count("<inertial") == 2 and text.count("<joint") == 2
 

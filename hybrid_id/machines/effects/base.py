@@ -36,7 +36,6 @@ class Effect(Law):
         systems: where it can be met.
         drawn: how each of `values` is drawn, in plausible size.
         sized: keys of `values` that grow with the effect.
-        size_keys: key of `values` -> name in the ground truth.
         shapes: keys of `values`, beside the sized ones, that a re-fit may move.
         signed: keys of `values` that may be negative.
         substeps: steps a sample that a fit of it needs.
@@ -55,7 +54,6 @@ class Effect(Law):
     systems: ClassVar[tuple[str, ...]] = ("one_link", "one_link_flexible", "two_link")
     drawn: ClassVar[Mapping[str, Draw]] = {}
     sized: ClassVar[tuple[str, ...]]
-    size_keys: ClassVar[Mapping[str, str]] = {}
     shapes: ClassVar[tuple[str, ...]] = ()
     signed: ClassVar[tuple[str, ...]] = ()
     substeps: ClassVar[int] = 1
@@ -108,9 +106,8 @@ class Effect(Law):
         return type(self)(self.joint, {**self.values, **values})
 
     def size(self) -> dict[str, float]:
-        """What the ground truth says of it."""
-        keys = self.size_keys or {key: key for key in self.values}
-        return {name: float(f"{float(np.mean(self.values[key])):.4g}") for key, name in keys.items()}
+        """What the ground truth says of it: its values, in the symbols of the formula."""
+        return {key: float(f"{float(np.mean(value)):.4g}") for key, value in self.values.items()}
 
     def alter(self, robot: Robot) -> Robot:
         """The robot with the effect, where it is a parameter that the nominal model lacks."""

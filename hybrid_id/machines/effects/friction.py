@@ -16,7 +16,7 @@ def without(drive, kind):
 class WithheldCoulomb(Effect):
     """Dry friction of the motor that the nominal model does without."""
 
-    name, place, sized, size_keys = "coulomb_friction", "motor_friction", ("F_c",), {"F_c": "newton_metres"}
+    name, place, sized = "coulomb_friction", "motor_friction", ("F_c",)
     drawn = {"F_c": uniform(0.7, 1.5, dry)}
 
     def alter(self, robot):
@@ -43,7 +43,6 @@ class LinkCoulomb(Effect):
     """Dry friction of the link's bearing behind a flexible gear."""
 
     name, place, sized, systems = "coulomb_friction", "link_friction", ("F_c",), ("one_link_flexible",)
-    size_keys = {"F_c": "newton_metres_link"}
     drawn = {"F_c": uniform(0.3, 1.2, dry_at_link)}
     made = Coulomb
 
@@ -52,7 +51,7 @@ class WithheldLinkViscous(Effect):
     """Viscous friction of the link's bearing that the nominal model does without."""
 
     name, place, sized = "viscous_friction", "link_friction", ("F_va",)
-    systems, size_keys = ("one_link_flexible",), {"F_va": "newton_metre_seconds_link"}
+    systems = ("one_link_flexible",)
     drawn = {"F_va": uniform(1.0, 4.0, lambda robot, joint: robot.values["F_va"])}
 
     def alter(self, robot):
@@ -63,7 +62,6 @@ class StribeckGaussian(Effect):
     """Breakaway above Coulomb, ``drop exp(-(v / v_s)^2)`` (Bo and Pavelescu)."""
 
     name, place, sized = "stribeck_friction", "motor_friction", ("drop",)
-    size_keys = {"drop": "newton_metres_above_coulomb", "v_s": "rad_per_second"}
     shapes = ("v_s",)
     drawn = {"drop": uniform(0.2, 1.0, dry), "v_s": uniform(4.0, 40.0, log=True)}
 
@@ -93,7 +91,6 @@ class UnevenDry(Effect):
     """Dry friction higher forwards than backwards, by ``excess`` [N m]."""
 
     name, place, sized = "asymmetric_friction", "motor_friction", ("excess",)
-    size_keys = {"excess": "newton_metres_difference"}
     signed = ("excess", "slope")
     drawn = {"excess": uniform(0.2, 0.9, dry, either=True)}
 
@@ -112,7 +109,6 @@ class UnevenBoth(UnevenDry):
     """Dry friction, and viscous friction by ``slope`` [N m s/rad], that differ with the direction."""
 
     sized = ("excess", "slope")
-    size_keys = {"excess": "newton_metres_difference", "slope": "newton_metre_seconds_difference"}
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -126,7 +122,7 @@ class PreslidingDahl(Effect):
     """The dry friction builds up over a deflection: Dahl's law in Coulomb's place."""
 
     name, place, sized = "presliding_friction", "motor_friction", ("deflection",)
-    size_keys, replaces = {"deflection": "rad_of_deflection"}, True
+    replaces = True
     drawn = {"deflection": uniform(0.3, 4.0, log=True)}
     made = LuGre
 
@@ -152,7 +148,6 @@ class MotorDrag(Effect):
     """Drag with the square of the rotor's speed."""
 
     name, place, sized = "quadratic_drag", "motor_friction", ("F",)
-    size_keys = {"F": "newton_metre_seconds2"}
     drawn = {"F": uniform(0.3, 2.0, lambda robot, joint: dry(robot, joint) / fast(robot, joint) ** 2)}
     made = Power
 
@@ -161,7 +156,7 @@ class LinkDrag(Effect):
     """Drag with the square of the link's speed, behind a flexible gear."""
 
     name, place, sized = "quadratic_drag", "link_friction", ("F",)
-    systems, size_keys = ("one_link_flexible",), {"F": "newton_metre_seconds2_link"}
+    systems = ("one_link_flexible",)
     drawn = {
         "F": uniform(
             0.3,
@@ -176,7 +171,6 @@ class LoadFriction(Effect):
     """Dry friction ``mu |tau|`` with the torque that the gear carries."""
 
     name, place, sized = "load_dependent_friction", "motor_friction", ("mu",)
-    size_keys = {"mu": "share_of_torque"}
     drawn = {"mu": uniform(0.05, 0.3)}
     needs_carried = True
 
@@ -194,7 +188,6 @@ class AngleFriction(Effect):
     """Dry friction that waves over the joint's angle: ``A (1 + sin(n q + phase))``."""
 
     name, place, sized = "position_dependent_friction", "motor_friction", ("amplitude",)
-    size_keys = {"amplitude": "newton_metres", "periods": "periods_per_joint_turn"}
     shapes, signed = ("periods", "phase"), ("phase",)
     drawn = {
         "amplitude": uniform(0.3, 1.2, dry),

@@ -16,7 +16,6 @@ class Unbalance(Effect):
     """A weight off the axis of one link; where the model has gravity, off the link's own line too."""
 
     name, place, sized, systems = "gravity_load", "load", ("G",), LINK
-    size_keys = {"G": "newton_metres_link_or_sine_of_tilt"}
     shapes, signed = ("q_0",), ("q_0",)
     made = Gravity
 
@@ -31,7 +30,6 @@ class Tilt(Effect):
     """A base of an arm that is not level."""
 
     name, place, sized, systems = "gravity_load", "load", ("sine",), ("two_link",)
-    size_keys = {"sine": "newton_metres_link_or_sine_of_tilt"}
     shapes, signed = ("q_0",), ("q_0",)
 
     @classmethod
@@ -56,7 +54,6 @@ class Hose(Effect):
     """A cable or hose that pulls towards a rest angle: ``-k d - k_3 d^3`` with d = q_a - rest."""
 
     name, place, sized = "spring_load", "load", ("k",)
-    size_keys = {"k": "newton_metres_per_rad_link", "rest": "rest_rad"}
     shapes, signed = ("rest",), ("rest",)
     drawn = {"k": uniform(0.3, 1.5, dry_at_link), "rest": uniform(-0.5, 0.5)}
     cubic = 0.0
@@ -75,7 +72,7 @@ class StiffeningHose(Hose):
 class Bias(Effect):
     """A constant torque, or an offset of the amplifier."""
 
-    name, place, sized, size_keys = "constant_torque", "load", ("bias",), {"bias": "newton_metres"}
+    name, place, sized = "constant_torque", "load", ("bias",)
     signed = ("bias",)
     drawn = {"bias": uniform(0.08, 0.6, dry, either=True, log=True)}
 
@@ -92,7 +89,6 @@ class WithheldCoupling(Effect):
     """Inertial coupling of two links that the nominal model does without."""
 
     name, place, sized, systems = "joint_coupling", "load", ("P_3", "P_4"), ("two_link",)
-    size_keys = {"P_3": "P_3_kilogram_metres2", "P_4": "P_4_kilogram_metres2"}
 
     @classmethod
     def draw(cls, rng, robot, joint):

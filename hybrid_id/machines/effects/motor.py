@@ -9,7 +9,7 @@ from hybrid_id.machines.physics.motor import Cogging
 class InputDelay(Effect):
     """Dead time before the amplifier: ``u(t - delay)``, in fractions of a sample too, as its mean over a step."""
 
-    name, place, sized, size_keys = "delay", "input", ("delay",), {"delay": "seconds"}
+    name, place, sized = "delay", "input", ("delay",)
     drawn = {"delay": uniform(0.003, 0.012, log=True)}
 
     def volts(self, volts, x):
@@ -57,16 +57,13 @@ class DeadZone(Threshold):
 class HardLimit(Effect):
     """A supply below the largest commands, which cuts them."""
 
-    name, place, sized, size_keys = "voltage_saturation", "input", ("excess",), {"volts": "volts"}
+    name, place, sized = "voltage_saturation", "input", ("excess",)
     drawn = {"excess": uniform(0.5, 2.0), "supply": supply}
 
     @property
     def limit(self):
         """Highest voltage [V]."""
         return self.values["supply"] / (1 + self.values["excess"])
-
-    def size(self):
-        return Effect(self.joint, {"volts": self.limit}).size()
 
     def volts(self, volts, x):
         return np.clip(volts, -self.limit, self.limit)
@@ -88,7 +85,7 @@ class WeakSupply(Effect):
     [V/(N m)], ``supply`` [V]. Braking pumps it up.
     """
 
-    name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
+    name, place, sized = "supply_sag", "input", ("sag",)
     drawn = {
         "sag": uniform(0.1, 0.5, lambda robot, joint: robot.supply / stall(robot, joint)),
         "supply": supply,
@@ -104,7 +101,7 @@ class WeakSupply(Effect):
 class WindingLag(Effect):
     """First-order lag of the current, L / R."""
 
-    name, place, sized, size_keys = "electrical_lag", "motor", ("lag",), {"lag": "seconds"}
+    name, place, sized = "electrical_lag", "motor", ("lag",)
     drawn = {"lag": uniform(0.002, 0.012, log=True)}
 
     def install(self, machine, robot):
@@ -115,7 +112,6 @@ class CoggingTorque(Effect):
     """One period of torque over the rotor's angle."""
 
     name, place, sized = "cogging", "motor", ("amplitude",)
-    size_keys = {"amplitude": "newton_metres", "periods": "periods_per_turn"}
     shapes, signed = ("phase",), ("phase",)
     drawn = {
         "amplitude": uniform(0.3, 1.5, dry),
@@ -143,7 +139,6 @@ class Warming(Effect):
     """Winding that warms with the square of its torque; its resistance rises and takes torque away."""
 
     name, place, sized = "thermal_derating", "motor", ("rise",)
-    size_keys = {"rise": "relative_rise_of_resistance", "cooling": "seconds_of_cooling"}
     shapes = ("cooling",)
     drawn = {"rise": uniform(0.2, 0.8), "cooling": uniform(3.0, 30.0, log=True)}
 

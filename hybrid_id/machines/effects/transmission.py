@@ -17,7 +17,7 @@ class FlatTeeth(Effect):
     contact k [N m/rad], loss c [s/rad] and n = 1 for flat teeth.
     """
 
-    name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
+    name, place, sized = "backlash", "transmission", ("gap",)
     systems = RIGID
     exponent, substeps, replaces = 1.0, 4, True
     drawn = {
@@ -45,7 +45,7 @@ class RoundTeeth(FlatTeeth):
 class PlayBeforeSpring(Effect):
     """Play in series with the spring of a flexible gear, which carries beyond half of the gap and never pulls."""
 
-    name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
+    name, place, sized = "backlash", "transmission", ("gap",)
     systems, replaces = ("one_link_flexible",), True
     drawn = {"gap": uniform(0.005, 0.05, log=True)}
 
@@ -74,9 +74,6 @@ class SoftGear(Effect):
         damping = 2 * self.values["ratio"] * np.sqrt(stiffness * link_inertia(robot, self.joint))
         return stiffness, damping
 
-    def size(self):
-        return Effect(self.joint, {"newton_metres_per_rad_link": 1 / self.values["compliance"]}).size()
-
     def install(self, machine, robot):
         self.drive(machine).spring = LinearSpring(*self.spring(robot))
 
@@ -94,7 +91,7 @@ class CubicSpring(Effect):
     """A cubic spring where the model's is linear."""
 
     name, place, sized = "hardening_flexibility", "transmission", ("stiffening",)
-    systems, size_keys = ("one_link_flexible",), {"stiffening": "relative_stiffening_at_stall_torque"}
+    systems = ("one_link_flexible",)
     drawn, replaces = {"stiffening": uniform(1.0, 20.0, log=True)}, True
 
     def install(self, machine, robot):
@@ -120,7 +117,6 @@ class GearError(Effect):
     """A ratio that waves with the rotor's angle."""
 
     name, place, sized = "kinematic_error", "transmission", ("error",)
-    size_keys = {"error": "rad_at_link", "periods": "periods_per_motor_turn"}
     shapes, signed = ("phase",), ("phase",)
     overtone = 0.0
 
