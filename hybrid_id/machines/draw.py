@@ -85,11 +85,11 @@ def draw_drive(
     rng: np.random.Generator,
     name: str,
     family: str,
+    effect: str | None,
+    system: str | None,
+    level: str,
     *,
     messy: bool,
-    system: str | None = None,
-    effect: str | None = None,
-    level: str | None = None,
 ) -> Graded | None:
     """One attempt at a machine; None where its effects do not come out as wanted.
 
@@ -132,7 +132,7 @@ def draw_drive(
         graded = about.graded(rng, trials, made[0], floor, base, ())
         shows = family == "none" or graded.nominal >= PLAIN * graded.refit
         return graded if shows and graded.refit <= (HARMLESS if messy else SEEN) * graded.floor else None
-    return _mixed(rng, about, leaders, small, family, level or "medium")
+    return _mixed(rng, about, leaders, small, family, level)
 
 
 def _draw_leaders(

@@ -17,7 +17,7 @@ from hybrid_id.machines.effects import Effect
 from hybrid_id.machines.effects.arm import ArmEffect, ArmOutside, LinkMass
 from hybrid_id.machines.effects.base import UNKNOWN
 from hybrid_id.machines.experiments import Campaign
-from hybrid_id.machines.joint import SAMPLE, JointTrials, Loads, Masses, Moved
+from hybrid_id.machines.joint import SAMPLE, JointTrials, Masses, Moved
 from hybrid_id.machines.physics.bench import Encoders, Program, run
 from hybrid_id.machines.rivals import find_rivals
 from hybrid_id.machines.score import SOUND
@@ -46,9 +46,7 @@ RUNAWAY = 4 * np.pi
 """Angle [rad] beyond which a motion is lost."""
 
 
-def draw_arm_case(
-    rng: np.random.Generator, name: str, family: str, *, effect: str | None = None
-) -> Graded | None:
+def draw_arm_case(rng: np.random.Generator, name: str, family: str, effect: str | None) -> Graded | None:
     """One attempt at a case of an arm; None where its dominant effect does not come out as one."""
     arm = draw_arm(rng)
     joints, lead = arm.joints, None
@@ -82,11 +80,8 @@ def draw_arm_case(
     at = lead.joint if lead else 0
     shares = [sum(one.values["mass"] for one in own if isinstance(one, LinkMass)) for own in small]
     nominal_load = moved.carried(arm, [0.0] * joints)
-    loads = Loads(
-        nominal_load,
-        moved.carried(arm, shares) - nominal_load,
-        moved.carried(arm, [float(k == at) for k in range(joints)]) - nominal_load,
-    )
+    of_one = moved.carried(arm, [float(k == at) for k in range(joints)])
+    loads = nominal_load, moved.carried(arm, shares) - nominal_load, of_one - nominal_load
     felt = [] if lead is None else arm.carriers(at) if isinstance(lead, LinkMass) else [at]
     trials, nominal, base, floor, leads = [], [], [], [], {}
     for k in range(joints):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hybrid_id.machines.physics.bench import Encoders, Program
 from hybrid_id.machines.robots import Robot
@@ -206,10 +207,9 @@ def _voltage(rng: np.random.Generator, robot: Robot, joint: int, kind: str, time
     wave = multisine(rng, time) if kind == "MV" else sweep(rng, time)
     damping = robot.value(joint, "P_m2") + robot.value(joint, "F_v") / robot.value(joint, "P_m1")
     inertia = robot.inertia(joint) / robot.value(joint, "P_m1")
-    speed = np.zeros_like(time)  # of the linear machine for a unit signal
-    for k in range(len(time) - 1):
-        rate = (wave[k] - damping * speed[k]) / inertia
-        speed[k + 1] = speed[k] + SAMPLE_TIME * rate / (1 + SAMPLE_TIME * damping / inertia)
+    slowed = inertia / SAMPLE_TIME + damping
+    # speed of the linear machine for a unit signal
+    speed = lfilter([0.0, 1 / slowed], [1.0, damping / slowed - 1], wave)
     travel = np.ptp(np.cumsum(speed) * SAMPLE_TIME) / robot.ratio[joint]
     dry = robot.value(joint, "F_c") / robot.value(joint, "P_m1")
     if robot.vertical:
@@ -253,10 +253,8 @@ def _torque(rng: np.random.Generator, robot: Robot, joint: int, time: np.ndarray
     corner = rng.uniform(5, 40)
     decay = np.exp(-corner * SAMPLE_TIME)
     noise = rng.standard_normal((len(time), lanes)) * np.sqrt(1 - decay**2)
-    wave = np.zeros_like(noise)
-    for k in range(round(RESTING / SAMPLE_TIME), len(time)):
-        wave[k] = decay * wave[k - 1] + noise[k]
-    return size * wave
+    noise[: round(RESTING / SAMPLE_TIME)] = 0.0
+    return size * lfilter([1.0], [1.0, -decay], noise, axis=0)
 
 
 def _encoders(rng: np.random.Generator, robot: Robot, samples: int, lanes: int) -> Encoders:

@@ -131,18 +131,6 @@ class Masses(Effect):
     sized = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Loads:
-    """What the joints carry by the description, beyond it by small errors of masses, and for a share of one link's.
-
-    See `Moved.carried`.
-    """
-
-    nominal: np.ndarray
-    small: np.ndarray
-    mass: np.ndarray
-
-
 class JointTrials(Trials):
     """A joint by itself with some of many effects.
 
@@ -151,13 +139,21 @@ class JointTrials(Trials):
         joint: its number.
         effects: at this joint, in their size.
         moved: the arm's records.
-        loads: what its joints carry.
+        loads: what the joints carry by the description, beyond it by small errors of masses, and for a share of one
+            link's, see `Moved.carried`.
     """
 
     thin = 1
     lost = 400.0
 
-    def __init__(self, arm: Arm, joint: int, effects: Sequence[Effect], moved: Moved, loads: Loads) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        joint: int,
+        effects: Sequence[Effect],
+        moved: Moved,
+        loads: tuple[np.ndarray, np.ndarray, np.ndarray],
+    ) -> None:
         self.arm, self.joint, self.effects, self.moved, self.loads = arm, joint, tuple(effects), moved, loads
         self.bare = self.robot = arm  # type: ignore[assignment]
         self.true = {name: float(arm.values[name]) for name in arm.free(joint)}
@@ -212,8 +208,8 @@ class JointTrials(Trials):
             return np.tile(self._pieces(rows_of)[..., rows], len(simulators))
 
         load = np.zeros((3, self.window, len(simulators) * runs))
-        for one, share in ((self.loads.nominal, 1.0), (self.loads.small, small), (self.loads.mass, mass)):
-            load += np.array([lanes(part) for part in one]) * share
+        for carried, share in zip(self.loads, (1.0, small, mass), strict=True):
+            load += np.array([lanes(rows_of) for rows_of in carried]) * share
         torque, factor = (np.tile(self._windows(one)[..., rows], len(simulators)) for one in self.moved.trace)
         with np.errstate(all="ignore"):
             machine.begin_at(

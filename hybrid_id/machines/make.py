@@ -74,17 +74,9 @@ def make_case(
         rng = np.random.default_rng([seed, NUMBERS[realism], draw])
         try:
             if realism == ARMS:
-                graded = draw_arm_case(rng, name, family, effect=effect)
+                graded = draw_arm_case(rng, name, family, effect)
             else:
-                graded = draw_drive(
-                    rng,
-                    name,
-                    family,
-                    messy=realism == MESSY,
-                    system=system,
-                    effect=effect,
-                    level=wanted,
-                )
+                graded = draw_drive(rng, name, family, effect, system, wanted, messy=realism == MESSY)
         except np.linalg.LinAlgError:  # a record of numbers that are none
             continue
         if graded is not None and level in (None, graded.level):
@@ -128,8 +120,8 @@ def make_cases(
         done: called after each case.
         **options: see `make_case`.
     """
-    known = ("family", "system", "effect", "level")
-    _check(options.get("realism", CLEAN), {option: options.get(option) for option in known})
+    given = dict.fromkeys(("family", "system", "effect", "level")) | options
+    _check(str(given.pop("realism", CLEAN)), given)
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []

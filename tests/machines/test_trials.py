@@ -13,7 +13,7 @@ from hybrid_id.machines.effects.friction import PreslidingDahl, StribeckGaussian
 from hybrid_id.machines.effects.load import Bias
 from hybrid_id.machines.effects.outside import Wind
 from hybrid_id.machines.effects.transmission import SoftGear
-from hybrid_id.machines.joint import JointTrials, Loads
+from hybrid_id.machines.joint import JointTrials
 from hybrid_id.machines.physics.bench import Encoders, Flaws
 from hybrid_id.machines.physics.law import Push, Signals
 from hybrid_id.machines.robots import SYSTEMS, Robot, draw_robot
@@ -122,7 +122,7 @@ def test_one_joint_by_itself_moves_as_in_mujoco(
     assert moved is not None
     load = moved.carried(arm, [0.0, 0.0])
     for k, effect in enumerate(effects):
-        joint = JointTrials(arm, k, [effect], moved, Loads(load, 0.0 * load, 0.0 * load))
+        joint = JointTrials(arm, k, [effect], moved, (load, 0.0 * load, 0.0 * load))
         right = joint.errors([Simulator(0, (1.0,), joint.true)], joint.measured)[0]
         lacking = joint.fit([Simulator(0, (0.0,), joint.true)], joint.measured, rounds=6)[0]
         assert joint.gap(right, "train") < 1e-4 and joint.gap(right, "test") < 3e-4

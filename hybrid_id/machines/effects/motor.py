@@ -23,19 +23,6 @@ class InputDelay(Effect):
         self.drive(machine).amplifier.insert(0, self.law(robot))
 
 
-class MeasurementDelay(InputDelay):
-    """Dead time behind the only encoder: the same from outside, up to what a controller makes of it."""
-
-    systems = ("one_link", "one_link_flexible")
-
-    @classmethod
-    def fits(cls, robot):
-        return super().fits(robot) and not robot.link_encoder
-
-    def install(self, machine, robot):
-        self.drive(machine).sensor_delay = self.values["delay"]
-
-
 class Threshold(Effect):
     """Nothing below a threshold, the whole command above it."""
 

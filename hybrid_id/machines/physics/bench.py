@@ -24,12 +24,6 @@ class Flaws:
     late: np.ndarray
     lost: np.ndarray
 
-    def applied(self, k: int, true: np.ndarray, before: np.ndarray) -> np.ndarray:
-        """What an encoder makes of the angles (n_outputs, B) of sample k and those of the sample before it."""
-        seen = true - self.late[:, None] * (true - before)
-        wave = np.sin(seen + self.phase[:, None]) - np.sin(self.phase)[:, None]
-        return seen + self.ripple[:, None] * wave + self.lost[k]
-
 
 @dataclass(frozen=True, eq=False)
 class Encoders:
@@ -58,7 +52,13 @@ class Encoders:
     def read(self, k: int, true: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Measured angles (n_outputs, B) of sample k, from the true ones and those of the sample before it."""
         if self.flaws is not None:
-            true = self.flaws.applied(k, true, before)
+            ripple, phase, late = (
+                self.flaws.ripple[:, None],
+                self.flaws.phase[:, None],
+                self.flaws.late[:, None],
+            )
+            seen = true - late * (true - before)
+            true = seen + ripple * (np.sin(seen + phase) - np.sin(phase)) + self.flaws.lost[k]
         quantum = self.quantum[:, None]
         return quantum * np.round((true + self.jitter[k]) / quantum)
 

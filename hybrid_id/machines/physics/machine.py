@@ -72,7 +72,6 @@ class Drive:
         amplifier: laws between command and terminals, in their order.
         rotor_laws, link_laws: what acts on rotor and link.
         spring: None where rotor and link move as one.
-        sensor_delay: age of the measured rotor angle [s], None: none.
         sensor_zero: what the encoder reads at angle zero [rad].
     """
 
@@ -83,7 +82,6 @@ class Drive:
     rotor_laws: list[Law] = field(default_factory=list)
     link_laws: list[Law] = field(default_factory=list)
     spring: Law | None = None
-    sensor_delay: Lanes | None = None
     sensor_zero: Lanes = 0.0
 
     def start(self, lanes: int, angle: np.ndarray) -> None:
@@ -202,7 +200,7 @@ class Machine:
         return self._read(np.arange(len(commands)))
 
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotor and link angles (n_joints, B) [rad] as the sensors give them, late where a sensor is."""
+        """Rotor and link angles (n_joints, B) [rad] as the sensors give them."""
         rotor, link = self._read(np.array([self.samples_done]))
         return rotor[0], link[0]
 
@@ -213,11 +211,6 @@ class Machine:
         for i, drive in enumerate(self.drives):
             if drive.spring is None:
                 link[:, i] = drive.gear.angle(rotor[:, i])
-            if drive.sensor_delay is not None:
-                age = np.multiply(drive.sensor_delay, self.substeps / self.sample_time)
-                whole, lanes = np.floor(age).astype(int), np.arange(trail.shape[2])
-                newer, older = (trail[np.maximum(now[:, None] - whole - k, 0), i, lanes] for k in (0, 1))
-                rotor[:, i] = newer + (age - whole) * (older - newer)
             rotor[:, i] += drive.sensor_zero
             link[:, i] += drive.sensor_zero
         return rotor, link
