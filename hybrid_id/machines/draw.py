@@ -448,7 +448,9 @@ def _parts(
     for i in order:
         one, rivals = trials.effects[i].scaled(float(sizes[i])), []
         if i < leaders:
-            rivals = find_rivals(rng, trials, made, base, leading[i], i)
+            # of two effects alone, each is judged with the other at work
+            lacking = (base, leading[i]) if count != 2 else (leading[1 - i], floor)
+            rivals = find_rivals(rng, trials, made, *lacking, i)
             imitated = max((1 - rival.rest for rival in rivals), default=0.0) * closes[i]
             if one.name == UNKNOWN and (imitated > IMITATED or any(rival.counts for rival in rivals)):
                 return ()
