@@ -14,9 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, plain_logarithm
-from hybrid_id.reporting.tables import count, records_table, table
+from hybrid_id.reporting.tables import count, table
 from hybrid_id.study.ablation import Arm
 from hybrid_id.study.ablation_result import HYBRID, OPEN, SETS, Ablation, Scores, answer, signed, verdict
 
@@ -211,5 +211,5 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.
         for seed, s in result.splits.items()
     ]
     heads = ("seed>", "train", "validation", "test", "out of range")
-    page.section("Records").add(table(heads, splits), records_table(dataset))
+    records_section(page, dataset).add(table(heads, splits))
     return page

@@ -45,9 +45,9 @@ from hybrid_id.reporting.diagnosis_words import (
     unmeasured,
     words_of,
 )
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import journal, new_figure, pixels, shortened
-from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
+from hybrid_id.reporting.tables import count, interval_words, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
 
@@ -429,7 +429,5 @@ def arm_page(
     tests = page.section("Test records").add(*map(capital, error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records = page.section("Records").add(records_table(found.dataset), *skew_lines(found.skews))
-    if findings:
-        records.add(findings_list(findings))
+    records_section(page, found.dataset, findings).add(*skew_lines(found.skews))
     return page

@@ -44,10 +44,10 @@ from hybrid_id.reporting.diagnosis_words import (
     where_line,
     words_of,
 )
-from hybrid_id.reporting.page import Page, Section
+from hybrid_id.reporting.page import Page, Section, records_section
 from hybrid_id.reporting.residuals import residual_blocks
 from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_cells
-from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
+from hybrid_id.reporting.tables import count, interval_words, table
 from hybrid_id.reporting.units import shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -265,10 +265,6 @@ def diagnosis_page(
     )
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis), *unselected_tie_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(capital, ties or [_NO_TIES]))
-    records = page.section("Records").add(records_table(dataset))
-    if words := thinned_line(diagnosis):
-        records.add(capital(words))
-    records.add(*map(capital, skew_lines(diagnosis.skews)))
-    if findings:
-        records.add(findings_list(findings))
+    thinned = filter(None, [thinned_line(diagnosis)])
+    records_section(page, dataset, findings).add(*map(capital, (*thinned, *skew_lines(diagnosis.skews))))
     return page

@@ -13,11 +13,11 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.residuals import Residuals, residual_blocks
 from hybrid_id.reporting.study import LEGEND, bound_cells, reliability_cells
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, symbol
-from hybrid_id.reporting.tables import count, interval_words, records_table, table
+from hybrid_id.reporting.tables import count, interval_words, table
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.study.hybrid import DRIFT, HybridStudy, NetworkRole
@@ -241,5 +241,5 @@ def hybrid_page(
     role = "test" if dataset.test else "train"
     where = count(len(dataset.test or dataset.train), f"{role} record")
     page.section("Residuals").add(*residual_blocks(residuals, where, alone.outputs))
-    page.section("Records").add(records_table(dataset))
+    records_section(page, dataset)
     return page

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -16,8 +16,11 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id import __version__
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.provenance import program
 from hybrid_id.reporting.style import png
+from hybrid_id.reporting.tables import findings_list, records_table
 
 _LOADER = PackageLoader("hybrid_id.reporting", ".")
 _TEMPLATES = Environment(loader=_LOADER, autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -120,6 +123,13 @@ def _style(thing: object) -> str:
         return ""
     words = [str(thing.style), *(str(span.style) for span in thing.spans)]
     return next((colour for colour in ("red", "yellow", "green") for word in words if colour in word), "")
+
+
+def records_section(page: Page, dataset: Dataset, findings: Sequence[Finding] = ()) -> Section:
+    """Append which records there are, and what the check of them remarked where it did; return the section."""
+    return page.section("Records").add(
+        records_table(dataset), *([findings_list(findings)] if findings else [])
+    )
 
 
 PACKAGES = ("torch", "torchdiffeq", "numpy", "scipy", "pandas")

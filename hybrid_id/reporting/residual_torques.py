@@ -13,9 +13,9 @@ from rich.text import Text
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis_words import joined, percent
 from hybrid_id.reporting.hybrid import map_figure
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import pixels
-from hybrid_id.reporting.tables import count, records_table, table
+from hybrid_id.reporting.tables import count, table
 from hybrid_id.study.residual_torques import ArmHybrid
 
 _HOW = (
@@ -140,5 +140,5 @@ def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, np
             maps.figure(
                 picture, "Torque that opposes the drive, over angle and speed; dots: where the records are."
             )
-    page.section("Records").add(records_table(dataset))
+    records_section(page, dataset)
     return page

@@ -34,7 +34,6 @@ from hybrid_id.statistics.residuals import LEVEL
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.study.excitation import ArmExcitation
-from hybrid_id.study.result import against_truth
 
 MAX_TITLE = 50
 """Characters of a title that leave room for the legend."""
@@ -216,44 +215,6 @@ def residual_figure(study: Study, sample_time: float) -> Figure:
         ylim=(0, (1.3 + 0.12 * len(outputs)) * right.get_ylim()[1]),
     )
     right.legend(loc="upper right")
-    return figure
-
-
-@journal()
-def truth_figure(study: Study, truth: Mapping[str, float]) -> Figure:
-    """Selected set against known values: relative error of each parameter with its interval."""
-    rows = against_truth(study, truth)
-    errors = [100 * one.relative_error for one in rows]
-    sides = [tuple(100 * abs(end - one.estimate) / abs(one.truth) for end in one.interval) for one in rows]
-    finite = [max(pair) for pair in sides if np.all(np.isfinite(pair))]
-    far = 4.0 * float(np.median(finite)) if finite else np.inf  # one wide interval must not hide all others
-    figure = new_figure(0.21 * len(rows) + 0.8, 4.5)
-    axes = figure.subplots()
-    axes.axvline(0.0, color="black", lw=0.6)
-    for row, (error, pair) in enumerate(zip(errors, sides, strict=True)):
-        known = bool(np.all(np.isfinite(pair)))
-        if far <= max(pair) < np.inf:
-            axes.annotate(f"± {max(pair):.0f} %", (1.0, row), (3, 0), xycoords=("axes fraction", "data"),
-                          textcoords="offset points", va="center", fontsize=7, annotation_clip=False)  # fmt: skip
-        axes.errorbar(
-            error, row, xerr=np.array(pair)[:, None] if known else None, fmt="o", ms=4,
-            mfc=COLOURS[1] if known else "white", mec=COLOURS[1], ecolor=COLOURS[0], elinewidth=1.2, capsize=2,
-        )  # fmt: skip
-    axes.set_yticks(range(len(rows)), [symbol(one.name) for one in rows])
-    reaches = (
-        abs(e) + (max(pair) if max(pair) < far else 0.0) for e, pair in zip(errors, sides, strict=True)
-    )
-    limit = 1.15 * max(reaches, default=1.0)
-    axes.set_xlim(-limit, limit)
-    for row, (error, pair) in enumerate(zip(errors, sides, strict=True)):
-        for side, reach, arrow in (
-            (-1, pair[0], "<"),
-            (1, pair[1], ">"),
-        ):  # where an interval leaves the panel
-            if limit < side * error + reach < np.inf:
-                axes.plot(0.985 * side * limit, row, arrow, ms=5, color=COLOURS[0])
-    axes.invert_yaxis()
-    axes.set_xlabel("estimate − truth [% of the truth], with its interval")
     return figure
 
 
