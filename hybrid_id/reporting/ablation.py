@@ -15,7 +15,7 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.page import Page, records_section
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, plain_logarithm
+from hybrid_id.reporting.style import COLOURS, GREY, journal, pixels, plain_logarithm, rows_of_panels
 from hybrid_id.reporting.tables import count, table
 from hybrid_id.study.ablation import Arm
 from hybrid_id.study.ablation_result import HYBRID, OPEN, SETS, Ablation, Scores, answer, signed, verdict
@@ -138,15 +138,12 @@ def ablation_pictures(result: Ablation) -> dict[str, np.ndarray]:
 
 def _rows(scores: Sequence[Scores], shown: Sequence[str], words: str) -> tuple[Figure, Sequence[Axes]]:
     """A panel for each set of records, logarithmic, and in it a row for each arm."""
-    figure = new_figure(0.33 * len(scores) + 0.9)
-    panels = np.atleast_1d(figure.subplots(1, len(shown), sharey=True))
+    figure, panels = rows_of_panels([of_arm.arm.label for of_arm in scores], len(shown), height=0.33)
     for axes, name in zip(panels, shown, strict=True):
         axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
         axes.set(xscale="log", title=_TITLES[name])
-    panels[0].set_yticks(range(len(scores)), [of_arm.arm.label for of_arm in scores])
-    panels[0].set_ylim(len(scores) - 0.5, -0.5)
     figure.supxlabel(words, fontsize=8)
-    return figure, list(panels)
+    return figure, panels
 
 
 def _colour(scores: Scores) -> str:

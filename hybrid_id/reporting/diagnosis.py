@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -54,14 +54,6 @@ from hybrid_id.systems.chain import System
 
 TOP = 4
 """Effects that the terminal shows."""
-
-
-def summary(diagnosis: Diagnosis) -> str:
-    """The diagnosis as plain text of at most 25 lines of 120 characters."""
-    console = Console(width=120, no_color=True, highlight=False, emoji=False)
-    with console.capture() as captured:
-        console.print(diagnosis_table(diagnosis))
-    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
 
 
 def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> RenderableType:
@@ -171,8 +163,6 @@ _CAPTIONS = {
     "recorded, torques are known up to the factor that the nominal values fix.",
     "location": "Part of the residual of each model that a torque over one signal, at one side of a joint, explains on "
     "records left out. The rows overlap: speed, angle and command go together in most records.",
-    "candidates": "RMS error on records left out with one effect added, over the re-fitted model's, and its "
-    "probability.",
     "torque_map": "The missing torque over angle and speed, where the records have been; above each map the part of "
     "the residual that such a torque explains on records left out (chance: none). What changes along the "
     "speed is friction or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry "
@@ -238,7 +228,6 @@ def diagnosis_page(
         effects.add(capital(f"also tried, none of them more probable: {', '.join(others)}."))
     if diagnosis.ties:
         effects.add(Text(_TIED, style="yellow"))
-    picture(effects, "candidates")
     effects.add(f"{_HOW} {_BASE_RATE}" if robot else _HOW)
     location = page.section("Location").add(capital(where_line(diagnosis) or _NOWHERE))
     picture(location, *(() if diagnosis.selected else _TORQUES))

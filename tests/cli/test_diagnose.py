@@ -24,7 +24,7 @@ from hybrid_id.diagnosis.next_experiment import next_experiment
 
 FILES = {
     ".written",
-    "candidates.png", "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
+    "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
     "refit.yaml", "report.html", "reversals.png", "shares.png", "tensorboard", "torque_map.png", "worst_record.png",
 }  # fmt: skip
 PLAIN = {".written", "config.yaml", "diagnosis.json", "model.yaml", "refit.yaml"}

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import text_of
 from gapcase import only
-from rich.console import Console
 from servo_arm import described, of_joint, simulated, tones
 from servo_arm import records_of as answered
 
@@ -78,10 +78,8 @@ def test_a_gear_that_the_model_lacks_is_found_with_its_turns(nominal: System, tm
     said = json.loads(json.dumps(found.as_dict()))
     assert said["coupled_gears"][0]["motor"] == "roll" and not said["no_gap"]
     assert "The motor of roll turns with bend, too: " in arm_headline(found)
-    console = Console(width=200)
-    with console.capture() as shown:
-        console.print(arm_table(found))
-    assert "bend + roll" in shown.get() and "a coupled gear" in shown.get() and "corrected" in shown.get()
+    shown = text_of(arm_table(found))
+    assert "bend + roll" in shown and "a coupled gear" in shown and "corrected" in shown
     assert "here the nominal model has it" in part_words(found, "bend + roll").lower()
     assert part_words(found, "yaw") == ""
 
