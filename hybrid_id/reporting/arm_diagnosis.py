@@ -23,7 +23,6 @@ from hybrid_id.reporting.diagnosis_figures import MAX_NAME, errors_by_row
 from hybrid_id.reporting.diagnosis_words import (
     asserted,
     called,
-    capital,
     experiment_lines,
     failed_lines,
     headline,
@@ -47,7 +46,7 @@ from hybrid_id.reporting.diagnosis_words import (
 )
 from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import journal, new_figure, pixels, shortened
-from hybrid_id.reporting.tables import count, interval_words, table
+from hybrid_id.reporting.tables import capital, count, interval_words, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
 

@@ -16,7 +16,6 @@ from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
     asserted,
-    capital,
     caution_lines,
     change_lines,
     disturbance_line,
@@ -47,7 +46,7 @@ from hybrid_id.reporting.diagnosis_words import (
 from hybrid_id.reporting.page import Page, Section, records_section
 from hybrid_id.reporting.residuals import residual_blocks
 from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_cells
-from hybrid_id.reporting.tables import count, interval_words, table
+from hybrid_id.reporting.tables import capital, interval_words, table
 from hybrid_id.reporting.units import shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -247,11 +246,8 @@ def diagnosis_page(
         _INTERVALS,
         LEGEND,
     )
-    role, channels = "test" if dataset.test else "train", (*dataset.outputs, *dataset.inputs)
-    where = count(len(dataset.test or dataset.train), f"{role} record")
-    page.section("Residuals").add(
-        *residual_blocks(details.residual_tests, where, with_joint_names(channels, model))
-    )
+    channels = with_joint_names((*dataset.outputs, *dataset.inputs), model)
+    page.section("Residuals").add(*residual_blocks(details.residual_tests, dataset, channels))
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis), *unselected_tie_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(capital, ties or [_NO_TIES]))
     thinned = filter(None, [thinned_line(diagnosis)])

@@ -221,16 +221,9 @@ def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -
                 continue
             counts = one.count
             axes.plot(one.time, factor * one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
-            for side in (-1.0, 1.0):
-                label = f"{name} model ± standard error" if side > 0 else None
-                axes.plot(
-                    one.time,
-                    factor * (one.mean + side * one.error),
-                    color=MODELS[name],
-                    lw=0.5,
-                    alpha=0.7,
-                    label=label,
-                )
+            ends = (factor * (one.mean + side * one.error) for side in (-1.0, 1.0))
+            words = f"{name} model ± standard error"
+            axes.fill_between(one.time, *ends, color=MODELS[name], alpha=0.2, lw=0, label=words)
         axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(unit, 0)}")
         axes.set_title(f"{symbol(output)}{joints.get(output, '')}, {counts} reversals", loc="left")
         axes.set_xlim(0.0, None)

@@ -17,7 +17,7 @@ from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.reporting.tables import count, interval_words
+from hybrid_id.reporting.tables import capital, count, interval_words
 from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -608,8 +608,3 @@ def range_percent(interval: Interval) -> str:
 def joined(words: Sequence[str], last: str = "and") -> str:
     """A list as people say it."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
-
-
-def capital(words: str) -> str:
-    """A sentence's start."""
-    return words[:1].upper() + words[1:]

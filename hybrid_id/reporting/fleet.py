@@ -133,11 +133,11 @@ def fleet_table(study: FleetStudy) -> Table:
     of, rows = study.fleet, []
     for k, name in enumerate(study.names):
         info = study.system.parameter(name)
-        if of.held[k]:
-            rows.append((name, info.doc, f"{of.mean[k]:.4g}", "held by its prior", info.unit, "", "", ""))
-            continue
-        if not np.isfinite(of.mean_error[k]):
-            rows.append((name, info.doc, "", "not identifiable", info.unit, "", "", ""))
+        if of.held[k] or not np.isfinite(of.mean_error[k]):
+            mean, words = (
+                (f"{of.mean[k]:.4g}", "held by its prior") if of.held[k] else ("", "not identifiable")
+            )
+            rows.append((name, info.doc, mean, words, info.unit, "", "", ""))
             continue
         share = f" ({100 * of.spread[k] / abs(of.mean[k]):.1f} %)" if of.mean[k] else ""
         within = f"{of.record_spread[k]:.3g}" if np.isfinite(of.record_spread[k]) else "one record each"

@@ -217,8 +217,6 @@ def hybrid_page(
     for picture in pictures.values():
         networks.figure(picture, "Output over speed and angle; dots: where the records have been.")
     page.section("Errors").add(_ERRORS, model_table(study), error_table(study, dataset))
-    role = "test" if dataset.test else "train"
-    where = count(len(dataset.test or dataset.train), f"{role} record")
-    page.section("Residuals").add(*residual_blocks(residuals, where, alone.outputs))
+    page.section("Residuals").add(*residual_blocks(residuals, dataset, alone.outputs))
     records_section(page, dataset)
     return page

@@ -81,33 +81,21 @@ def parameter_figure(study: Study) -> Figure:
         if spec.prior_std is not None and spec.prior_mean is not None:
             low, high = ((spec.prior_mean + side * spec.prior_std) / 10.0**exponent for side in (-1, 1))
             axes.axhspan(low, high, color=COLOURS[5], alpha=0.18, lw=0, label="prior ± 1 std")
-        axes.plot(
-            [],
-            [],
-            "o",
-            ms=3.5,
-            color=COLOURS[0],
-            label="one set a record" if not study.pooled else "pooled set",
-        )
-        axes.plot([], [], "o", ms=4.5, color=COLOURS[1], label="selected")
-        for i in x:
-            colour, size = (COLOURS[1], 4.5) if i == study.selection.index else (COLOURS[0], 3.5)
-            known = bool(np.isfinite(sides[i]).all())
-            bar = sides[i][:, None] if known else None
-            axes.errorbar(
-                x[i], values[i], yerr=bar, fmt="o", ms=size, mfc=colour if known else "white", mec=colour,
-                ecolor=colour, elinewidth=0.9, capsize=1.8, capthick=0.9,
-            )  # fmt: skip
+        known, chosen = np.isfinite(sides).all(1), x == study.selection.index
+        sets = "pooled set" if study.pooled else "one set a record"
+        for words, group, colour, size in (
+            (sets, ~chosen, COLOURS[0], 3.5),
+            ("selected", chosen, COLOURS[1], 4.5),
+        ):
+            axes.plot([], [], "o", ms=size, color=colour, label=words)
+            axes.plot(x[group], values[group], "o", ms=size, mfc="white", color=colour)
+            bars = {"elinewidth": 0.9, "capsize": 1.8, "capthick": 0.9, "color": colour}
+            at = group & known
+            axes.errorbar(x[at], values[at], yerr=sides[at].T, fmt="o", ms=size, **bars)
         title = symbol(study.names[k])
         if study.variation is not None:
-            axes.axhline(
-                study.variation.mean[k] / 10.0**exponent,
-                color=GREY,
-                lw=0.8,
-                ls=(0, (4, 2)),
-                zorder=0,
-                label="mean",
-            )
+            mean = study.variation.mean[k] / 10.0**exponent
+            axes.axhline(mean, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=0, label="mean")
             percent = study.variation.percent[k]
             title += f",  std/mean {'< 0.01' if percent < 0.01 else f'{percent:.3g}'} %"
         axes.set_title(title, loc="left")
@@ -220,15 +208,9 @@ def residual_figure(study: Study, sample_time: float) -> Figure:
 
 def _percent(value: float) -> str:
     """A fit as it fits into a cell; how bad a bad one is does not matter."""
-    return (
-        f"{value:.1f}"
-        if 0 <= value < 1000
-        else f"{value:.0f}"
-        if -100 < value < 0
-        else "<−99"
-        if value < 0
-        else ">999"
-    )
+    if not -100 < value < 1000:
+        return "<−99" if value < 0 else ">999"
+    return f"{value:.1f}" if value >= 0 else f"{value:.0f}"
 
 
 COLUMNS, TOP = 3, 2.5

@@ -198,6 +198,11 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
+def capital(words: str) -> str:
+    """A sentence's start."""
+    return words[:1].upper() + words[1:]
+
+
 def table(heads: Sequence[str], rows: Iterable[Sequence[str | Text]]) -> Table:
     """A table of rows; heads as in `open_table`."""
     found = open_table(*heads)
