@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -64,13 +63,6 @@ def ablation_result(result: Ablation) -> dict[str, Any]:
         "splits": {str(seed): vars(split) for seed, split in result.splits.items()},
         "failed": result.failed,
     }
-
-
-def ablation_tables(result: Ablation) -> RenderableType:
-    """The answer, the arms, what their networks do, the parameters, and the cells that broke."""
-    first, *others = verdict(result)
-    parts = [Text(first, style=_STYLE.get(answer(result), "")), *map(Text, others), arms_table(result)]
-    return Group(*parts, parameters_table(result), *failures(result))
 
 
 def failures(result: Ablation) -> list[Text]:
@@ -189,16 +181,16 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.
     what = (
         f"{len(result.scores)} models, trained and tested on the same records in {count(repeats, 'repeat')}."
     )
-    section = page.section("Answer").add(*others, what, *failures(result))
+    section = page.section("Answer").add(*others).note(what).add(*failures(result))
     if repeats > 1 and len({split.test for split in result.splits.values()}) == 1:
-        section.add(
+        section.note(
             "All repeats test on the same records, which have the role of test records: how the answer would change "
             "with others is not in the intervals."
         )
     if "change" in pictures:
         words = "Error over that of physics only on the same records: mean and interval of each arm."
         section.figure(pictures["change"], words)
-    section = page.section("Arms").add(arms_table(result), _HOW)
+    section = page.section("Arms").add(arms_table(result)).note(_HOW)
     if "errors" in pictures:
         words = "Every repeat of every arm; the bar is the mean, the dashed line the noise."
         section.figure(pictures["errors"], words)
@@ -208,5 +200,5 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.
         for seed, s in result.splits.items()
     ]
     heads = ("seed>", "train", "validation", "test", "out of range")
-    records_section(page, dataset).add(table(heads, splits))
+    records_section(page, dataset).note(table(heads, splits))
     return page

@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.coupled_gear import CoupledGear
@@ -350,15 +348,6 @@ def common_words(one: CommonSize, outputs: Sequence[Channel]) -> str:
     return f"{what} may be one for all of them, {value:.4g} ({ends}){unit}."
 
 
-def arm_table(found: ArmDiagnosis) -> RenderableType:
-    """What the terminal shows."""
-    parts: list[RenderableType] = [Text(arm_headline(found), style="bold")]
-    parts += map(Text, error_lines(found))
-    parts.append(joints_table(found))
-    parts += [Text(line) for line in remark_lines(found)]
-    return Group(*parts)
-
-
 def arm_figures(found: ArmDiagnosis) -> dict[str, np.ndarray]:
     """Every picture by the name of its file."""
     return {"joints": pixels(joints_figure(found))} if found.model_errors is not None else {}
@@ -404,12 +393,13 @@ def arm_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
-    joints = page.section("Joints").add(joints_table(found), *([_LEFT] if found.gears else []), _PART)
+    joints = page.section("Joints").add(joints_table(found))
+    joints.note(*([_LEFT] if found.gears else []), _PART)
     if pages:
         joints.links("Each joint's own page:", pages)
-    joints.add(*remark_lines(found), _HOW)
+    joints.add(*remark_lines(found)).note(_HOW)
     tests = page.section("Test records").add(*map(capital, error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records_section(page, found.dataset, findings).add(*say.skew_lines(found.skews))
+    records_section(page, found.dataset, findings).note(*say.skew_lines(found.skews))
     return page

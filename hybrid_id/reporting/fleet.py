@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.results import write_rows
@@ -119,15 +117,6 @@ def why(study: FleetStudy, i: int) -> list[str]:
     return said
 
 
-def fleet_tables(study: FleetStudy) -> RenderableType:
-    """The outcome, the fleet's parameters, and who stands out."""
-    first, *others = verdict(study)
-    style = "yellow" if study.fleet.stands_out.any() else "green"
-    odd = [odd_table(study)] if study.fleet.stands_out.any() else []
-    parts = [Text(first, style=style), *map(Text, others), fleet_table(study), *odd]
-    return Group(*parts, *(Text(f"{name}: {reason}", style="red") for name, reason in study.failed.items()))
-
-
 def fleet_table(study: FleetStudy) -> Table:
     """Mean and spread of each parameter."""
     of, rows = study.fleet, []
@@ -186,12 +175,14 @@ def fleet_page(study: FleetStudy, pictures: dict[str, np.ndarray]) -> Page:
     section = page.section("Who stands out").add(*others)
     if study.fleet.stands_out.any():
         section.add(odd_table(study))
-    page.section("Mean and spread").add(fleet_table(study), _HOW)
-    page.section("Robots").figure(
-        pictures["robots"],
-        "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
-        "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
-    )
+    page.section("Mean and spread").add(fleet_table(study)).note(_HOW)
+    robots = page.section("Robots")
+    for picture in pictures.values():
+        robots.figure(
+            picture,
+            "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
+            "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
+        )
     if study.failed:
         page.section("Robots without an estimate").add(table(("robot", "reason"), list(study.failed.items())))
     return page

@@ -46,12 +46,18 @@ class Section:
 
     title: str
     blocks: list[Block] = field(default_factory=list)
+    on_screen: list[RenderableType] = field(default_factory=list)
 
     def add(self, *things: RenderableType) -> Section:
-        """Append what the terminal prints: text, rich tables, and groups of them; brackets in words are no markup."""
+        """Append what the terminal shows, too; see :meth:`note`."""
+        self.on_screen += [Text(thing) if isinstance(thing, str) else thing for thing in things]
+        return self.note(*things)
+
+    def note(self, *things: RenderableType) -> Section:
+        """Append text, rich tables, and groups of them to the page alone; brackets in words are no markup."""
         for thing in things:
             if isinstance(thing, Group):
-                self.add(*thing.renderables)
+                self.note(*thing.renderables)
             elif isinstance(thing, Table):
                 self.blocks.append(_table(thing))
             else:
@@ -96,6 +102,11 @@ class Page:
         self.sections.append(Section(title))
         return self.sections[-1]
 
+    def screen(self) -> Group:
+        """What the terminal shows of it: the outcome, and what was added to the sections but for mere notes."""
+        parts = (part for section in self.sections for part in section.on_screen)
+        return Group(Text(self.lead, style="bold"), *parts)
+
     def html(self) -> str:
         """The page as text; everything that came from the user is escaped."""
         return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__)
@@ -127,7 +138,7 @@ def _style(thing: object) -> str:
 
 def records_section(page: Page, dataset: Dataset, findings: Sequence[Finding] = ()) -> Section:
     """Append which records there are, and what the check of them remarked where it did; return the section."""
-    return page.section("Records").add(
+    return page.section("Records").note(
         records_table(dataset), *([findings_list(findings)] if findings else [])
     )
 
@@ -158,7 +169,7 @@ def how_made(
     table.add_row("versions", f"Python {platform.python_version()}, {versions}")
     for name, value in (settings or {}).items():
         table.add_row(name, str(value))
-    section = page.section("How it was made").add(table)
+    section = page.section("How it was made").note(table)
     if config:
         section.code(config, words)
     return page
