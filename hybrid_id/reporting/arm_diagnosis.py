@@ -71,8 +71,8 @@ def arm_headline(found: ArmDiagnosis) -> str:
     of = f"what the gear{'s' if len(found.gears) > 1 else ''} leaves of {of}" if found.gears else of
     if found.selected:
         said = [
-            f"{say.words_of(one.name)} at {_joint(one)}{' explains' if k == 0 else ''} {say.percent(one.share or 0.0)} "
-            f"({f'{between}; ' if (between := say.share_interval(one)) else ''}{say.sure_words(one)})"
+            f"{say.words_of(one.name)} at {_joint(one)}{' explains' if k == 0 else ''} "
+            f"{say.share_words(one, say.sure_words(one))}"
             for k, (one, _, _) in enumerate(large)
         ]
         sentence = f"{capital(say.joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
@@ -185,34 +185,18 @@ def joints_table(found: ArmDiagnosis) -> Table:
 
     Below them those that were left out, with the reason; but for those that nobody has asked for.
     """
+    part = "part of what the gear leaves>" if found.gears else "part of the gap>"
+    heads = ["joint", "lacks", part, "share of the joint's own gap>", "probability>", "unexplained>"]
+    if models := _models(found):
+        heads += [*(f"RMSE {name}>" for name in models), "unit"]
     rows = []
-    for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
+    for joint, share in sorted(found.parts.items(), key=lambda item: -item[1]):
         one = found.joints[joint]
         sure = "; ".join(f"{e.together:.2f}" for e in say.asserted(one))
         explained = "; ".join(map(say.share_words, say.asserted(one)))
         left = say.percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
-        rows.append(
-            (
-                joint,
-                lacks(found, joint),
-                say.percent(part),
-                explained,
-                sure,
-                left,
-                *_errors_cells(found, joint),
-            )
-        )
-    models = _models(found)
-    units = {row[-1] for row in rows} - {""} if models else set()
-    if len(units) == 1:  # a column less, where terminals are narrow
-        rows, errors = [row[:-1] for row in rows], [f"RMSE {name} ({min(units)})>" for name in models]
-    else:
-        errors = [*(f"RMSE {name}>" for name in models), *(("unit",) if models else ())]
-    own = "share of the joint's own gap>"
-    part = "part of what the gear leaves>" if found.gears else "part of the gap>"
-    heads = ("joint", "lacks", part, own, "probability>", "unexplained>", *errors)
-    if len(rows) == 1:  # all of it: of the other joints nothing is known
-        heads, rows = heads[:2] + heads[3:], [row[:2] + row[3:] for row in rows]
+        own = (lacks(found, joint), say.percent(share), explained, sure, left)
+        rows.append((joint, *own, *_errors_cells(found, joint)))
     rows += [
         (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
         for joint, why in found.skipped.items()

@@ -17,7 +17,7 @@ from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.residuals import Residuals, residual_blocks
 from hybrid_id.reporting.study import LEGEND, bound_cells, reliability_cells
 from hybrid_id.reporting.style import journal, new_figure, pixels, unit
-from hybrid_id.reporting.tables import count, interval_words, table
+from hybrid_id.reporting.tables import capital, count, interval_words, table
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.study.hybrid import HybridStudy, NetworkRole
@@ -182,20 +182,15 @@ def _lead(study: HybridStudy) -> str:
     models, chosen, warnings = study.result.models, study.result.chosen, study.warnings
     if not chosen:
         words = warnings[0] if warnings else "physics alone is kept"
-        return f"{words[0].upper()}{words[1:]}."
+        return f"{capital(words)}."
     before, after = (math.sqrt(2.0 * models[k].validation) for k in (0, chosen))
     words = (
-        f"{count(len(study.roles), 'network')} beside the physics, at the price {study.result.price:g}: the "
+        f"{count(len(study.roles), 'network')} beside the physics, at the price {study.result.price:g}: the typical "
+        f"error on validation records falls from {before:.3g} to {after:.3g} (1: as the noise says)."
     )
-    words += (
-        f"typical error on validation records falls from {before:.3g} to {after:.3g} (1: as the noise says)."
-    )
-    few = count(len(warnings), "warning")
-    return (
-        f"{words} Read the {few} below before you read the parameters."
-        if warnings
-        else (f"{words} No network does the physics' work.")
-    )
+    if warnings:
+        return f"{words} Read the {count(len(warnings), 'warning')} below before you read the parameters."
+    return f"{words} No network does the physics' work."
 
 
 def hybrid_page(
@@ -208,7 +203,7 @@ def hybrid_page(
 ) -> Page:
     """The page of a hybrid training, with physics ``alone`` as `identify` would judge it."""
     page = Page(f"Physics and networks on {dataset.name}", _lead(study))
-    warnings = (Text(f"{words[0].upper()}{words[1:]}.", style="yellow") for words in study.warnings)
+    warnings = (Text(f"{capital(words)}.", style="yellow") for words in study.warnings)
     page.section("Parameters").add(drift_table(study, alone), LEGEND, _RELIABLE, *warnings)
     networks = page.section("Networks")
     if not study.result.chosen:
