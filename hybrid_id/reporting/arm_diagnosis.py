@@ -195,7 +195,8 @@ def joints_table(found: ArmDiagnosis) -> Table:
         sure = "; ".join(f"{e.together:.2f}" for e in say.asserted(one))
         explained = "; ".join(map(say.share_words, say.asserted(one)))
         left = say.percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
-        own = (lacks(found, joint), say.percent(share), explained, sure, left)
+        of_all = say.percent(share) if len(found.parts) > 1 else ""  # of the other joints nothing is known
+        own = (lacks(found, joint), of_all, explained, sure, left)
         rows.append((joint, *own, *_errors_cells(found, joint)))
     rows += [
         (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
