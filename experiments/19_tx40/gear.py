@@ -18,7 +18,7 @@ from hybrid_id import diagnose_arm
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.yaml_file import read_yaml
-from hybrid_id.reporting.arm_diagnosis import arm_table
+from hybrid_id.reporting.arm_diagnosis import arm_page
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model
 
@@ -57,7 +57,7 @@ def main() -> None:
         by_joint(pieces(wish.data)), uncoupled(wish.model, wish.out), horizon=Horizon.of(inverse.WINDOW)
     )
     (wish.out / "diagnosis.json").write_text(json.dumps(found.as_dict()))
-    Console(width=160).print(arm_table(found))
+    Console(width=160).print(arm_page(found, {}, {}).screen())
     print(f"{found.gears}\n{time.process_time() - began:.0f} s of processor time")
 
 

@@ -82,7 +82,6 @@ def ablate(
         ablation_page,
         ablation_pictures,
         ablation_result,
-        ablation_tables,
     )
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.tensorboard import write_cell_events
@@ -129,7 +128,7 @@ def ablate(
     if as_json:
         show(text)
     else:
-        show(ablation_tables(outcome))
+        show(ablation_page(dataset, outcome, {}).screen())
         show(files_in(home, config, RESULT, CELLS, *([EVENTS] if config.output.tensorboard else [])))
     if failed:
         raise typer.Exit(1)

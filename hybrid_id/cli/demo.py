@@ -49,8 +49,6 @@ def demo(
     from hybrid_id.paper.twin import write_campaign
     from hybrid_id.records.quality import remarks
     from hybrid_id.records.yaml_file import read_yaml
-    from hybrid_id.reporting.study_figures import truth_figure
-    from hybrid_id.reporting.style import save
     from hybrid_id.reporting.tables import count, identifiability_table, truth_table
     from hybrid_id.study import check_identifiability
     from hybrid_id.study.result import against_truth
@@ -96,12 +94,11 @@ def demo(
         draw = progress.cut or not progress.stopped
         text, whole = write_study(folder, home, "demo", placed, dataset, study, draw=draw)
         truth = truths[study.selected.records[0]]
-        save(truth_figure(study, truth), folder / "truth.png")
     show_study(study, config, out, text, as_json=as_json)
     claims = [recovery.inside for recovery in against_truth(study, truth) if recovery.inside is not None]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
     held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""
-    pictures = ("truth.png", "fit_*.png", "parameters.png", "cross_validation.png", "residuals.png")
+    pictures = ("fit_*.png", "parameters.png", "cross_validation.png", "residuals.png")
     show(
         "",
         f"The truth of {'the arm' if robot else study.selected.records[0]} beside its estimates:",

@@ -110,14 +110,17 @@ def diagnose(
         from hybrid_id.systems.by_joint import with_standing_held
 
         remark_start_values(*(with_standing_held(dataset, system) if by_joint else (dataset, system)))
-        from hybrid_id.reporting.arm_diagnosis import arm_table
+        from hybrid_id.reporting.arm_diagnosis import arm_page
         from hybrid_id.reporting.diagnosis import diagnosis_table
 
         asked = {"by_joint": True, "joints": joint} if by_joint else {}
         found = run(dataset, system, config, kept, **asked)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             if isinstance(found, ArmDiagnosis):
-                (text, drawn), shown = write_arm(folder, home, config, found), arm_table(found)
+                (text, drawn), shown = (
+                    write_arm(folder, home, config, found),
+                    arm_page(found, {}, {}).screen(),
+                )
                 further = [f"{name}/" for name in joint_folders(found.joints).values()]
                 undrawn = undrawn_words(drawn)
             else:

@@ -218,7 +218,8 @@ def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, worse:
         "in_mujoco": target.target_result(errors),
     }
     content = with_comment(exported, target.error_lines(errors)).text.encode()
-    return Made(described, target.on_screen(errors), content, target.target_page(errors, out.name))
+    page = target.target_page(errors, out.name)
+    return Made(described, [page.screen()], content, page)
 
 
 def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetErrors | None":

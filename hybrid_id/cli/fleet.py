@@ -85,7 +85,6 @@ def fleet(
         fleet_page,
         fleet_pictures,
         fleet_result,
-        fleet_tables,
         write_robots,
     )
     from hybrid_id.reporting.page import how_made
@@ -113,7 +112,7 @@ def fleet(
     if as_json:
         show(text)
     else:
-        show(fleet_tables(study))
+        show(fleet_page(study, {}).screen())
         show(f"results are in {home}: report.html, {RESULT}, robots.csv, model.yaml, robots.png, {ROBOTS}")
     if study.failed:
         raise typer.Exit(1)

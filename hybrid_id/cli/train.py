@@ -174,7 +174,6 @@ def by_joint(
         residuals_page,
         residuals_pictures,
         residuals_result,
-        residuals_table,
     )
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.results import write_physics
@@ -215,7 +214,7 @@ def by_joint(
     if as_json:
         show(text)
     else:
-        show(residuals_table(found))
+        show(residuals_page(dataset, found, {}).screen())
         show(files_in(home, config, "parameters.csv", RESULT, "model.yaml", "physics.yaml"))
     if found.interrupted or not whole:
         raise typer.Exit(130)

@@ -199,26 +199,6 @@ def tracking_figure(result: TrackingResult, panels: Sequence[tuple[str, int, str
 
 
 @journal()
-def spread_figure(results: Sequence[tuple[str, TrackingResult, int]]) -> Figure:
-    """RMS error of every seed under each model: one panel for each (title, result, joint)."""
-    figure = new_figure(2.2)
-    panels = np.ravel(figure.subplots(1, len(results)))
-    for axes, (title, result, joint) in zip(panels, results, strict=True):
-        for k in range(len(result.models)):
-            values = 1e3 * result.rms[k, joint]
-            across = k + np.linspace(-0.18, 0.18, len(values))
-            axes.plot(across, values, "o", ms=2.6, color=COLOURS[k], alpha=0.8, mew=0)
-            axes.plot([k - 0.28, k + 0.28], [values.mean()] * 2, color="black", lw=1.0)
-        names = [model.replace("backlash-flexible", "with backlash") for model in result.models]
-        axes.set_xticks(range(len(names)), names)
-        axes.set_title(title, loc="left")
-        axes.set_ylim(0, None)
-        axes.set_xlim(-0.6, len(names) - 0.4)
-    panels[0].set_ylabel("RMS error [mrad]")
-    return figure
-
-
-@journal()
 def friction_figure(
     motors: Sequence[tuple[str, StageResult, str]], link: StageResult | None = None, top: float = 300.0
 ) -> Figure:
@@ -284,7 +264,6 @@ CAPTIONS = {
     "machine's own. All levels scale with the data sheet's P_m1, and P_m2 and the viscous slope make up for each "
     "other: they are indistinguishable from voltage and angle. The intervals say so; the curves are those of one set.",
     "figure_14": "Fig. 14. Friction torque over velocity of the second link in three stages.",
-    "tracking_spread": "RMS error of every seed; the bar is their mean.",
 }
 
 
@@ -307,12 +286,6 @@ def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict
         (r"$\tau_\mathrm{f}$, low velocity", stages["link2_low"], ""),
         (r"$\tau_\mathrm{f2}$, both links", stages["both_links"], "m2"),
     ]
-    errors = [
-        ("one link", loops["one_link"], 0),
-        ("both, joint 1", loops["both_links"], 0),
-        ("both, joint 2", loops["both_links"], 1),
-        ("backlash", loops["backlash"], 0),
-    ]
     both = loops["both_links"]
     drawn = {
         "figure_03": preprocessing_figure(result.record),
@@ -322,7 +295,6 @@ def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict
         "figure_09": tracking_figure(both, [("error", joint, title) for joint, title in joints]),
         "figure_13": friction_figure(first_link, stages["link1_flexible"]),
         "figure_14": friction_figure(second_link),
-        "tracking_spread": spread_figure(errors),
     }
     figures = {name: pixels(figure) for name, figure in drawn.items()}
     first, second = (
@@ -395,6 +367,5 @@ def paper_page(result: Reproduction, *, quick: bool = False) -> tuple[Page, dict
         _tracking(loops),
         "A mathematical model with too much inertia also closes a stiffer loop, since the gains act through it, and "
         "friction moves that less: a single seed may beat IFLRM; the table of claims has the paired test.",
-        "tracking_spread",
     )
     return page, figures

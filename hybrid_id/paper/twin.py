@@ -5,13 +5,12 @@ Their dry friction is set-valued and their switches between stick and slip are l
 reason nothing here may know the models.
 """
 
-import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, create_model
 
 from hybrid_id.errors import InputError
 from hybrid_id.machines.physics.friction import AsymmetricStribeck, AsymmetricTanh, Viscous
@@ -251,21 +250,18 @@ def read_settings(config: Mapping[str, Any]) -> Twin[Any, Any]:
     if twin.duration < twin.rest + 10 * twin.sample_time:
         raise InputError(f"{source}: key 'duration' must be longer than rest by ten samples or more")
     names = PARAMETERS[machine]
-    for section, given in (("truth", twin.truth), ("model.parameters", twin.model.parameters)):
-        for name in given:
-            if name not in names:
-                close = difflib.get_close_matches(name, names, n=1)
-                hint = f"did you mean '{close[0]}'?" if close else "remove it"
-                raise InputError(f"{source}: key '{section}.{name}' is unknown; {hint}")
-        for name in names:
-            if name not in given:
-                raise InputError(f"{source}: key '{section}.{name}' is missing; add it")
-    truth = {name: twin.truth[name] for name in names}
-    for name, value in truth.items():
+    sizes: dict[str, Any] = {name: (NonNegativeFloat, ...) for name in names}
+    for name in names:
         symbol = name.removesuffix("m1").removesuffix("m2") if machine == "two_link" else name
-        if symbol not in SIGNED and (value < 0 or (symbol in POSITIVE and value == 0)):
-            bound = "greater than 0" if symbol in POSITIVE else "greater than or equal to 0"
-            raise InputError(f"{source}: key 'truth.{name}' must be {bound}, found {value!r}")
+        if symbol in SIGNED or symbol in POSITIVE:
+            sizes[name] = (float if symbol in SIGNED else PositiveFloat, ...)
+    known: dict[str, Any] = {name: (dict[str, Any], ...) for name in names}
+    model = create_model("Model", parameters=(create_model("Known", __base__=Section, **known), ...))
+    named = create_model(
+        "Named", truth=(create_model("Truth", __base__=Section, **sizes), ...), model=(model, ...)
+    )
+    given = {"truth": twin.truth, "model": {"parameters": twin.model.parameters}}
+    truth = validate(named, given, source).model_dump()["truth"]
     if machine == "two_link":
         p_1, p_2, p_3, p_4 = (truth[f"P_{i}"] for i in (1, 2, 3, 4))
         # the determinant of the mass matrix is concave in cos q_2: its least value lies at an end

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.page import Page
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, plain_logarithm
-from hybrid_id.reporting.tables import count, records_table, table
+from hybrid_id.reporting.page import Page, records_section
+from hybrid_id.reporting.style import COLOURS, GREY, journal, pixels, plain_logarithm, rows_of_panels
+from hybrid_id.reporting.tables import count, table
 from hybrid_id.study.ablation import Arm
 from hybrid_id.study.ablation_result import HYBRID, OPEN, SETS, Ablation, Scores, answer, signed, verdict
 
@@ -64,13 +63,6 @@ def ablation_result(result: Ablation) -> dict[str, Any]:
         "splits": {str(seed): vars(split) for seed, split in result.splits.items()},
         "failed": result.failed,
     }
-
-
-def ablation_tables(result: Ablation) -> RenderableType:
-    """The answer, the arms, what their networks do, the parameters, and the cells that broke."""
-    first, *others = verdict(result)
-    parts = [Text(first, style=_STYLE.get(answer(result), "")), *map(Text, others), arms_table(result)]
-    return Group(*parts, parameters_table(result), *failures(result))
 
 
 def failures(result: Ablation) -> list[Text]:
@@ -138,15 +130,12 @@ def ablation_pictures(result: Ablation) -> dict[str, np.ndarray]:
 
 def _rows(scores: Sequence[Scores], shown: Sequence[str], words: str) -> tuple[Figure, Sequence[Axes]]:
     """A panel for each set of records, logarithmic, and in it a row for each arm."""
-    figure = new_figure(0.33 * len(scores) + 0.9)
-    panels = np.atleast_1d(figure.subplots(1, len(shown), sharey=True))
+    figure, panels = rows_of_panels([of_arm.arm.label for of_arm in scores], len(shown), height=0.33)
     for axes, name in zip(panels, shown, strict=True):
         axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
         axes.set(xscale="log", title=_TITLES[name])
-    panels[0].set_yticks(range(len(scores)), [of_arm.arm.label for of_arm in scores])
-    panels[0].set_ylim(len(scores) - 0.5, -0.5)
     figure.supxlabel(words, fontsize=8)
-    return figure, list(panels)
+    return figure, panels
 
 
 def _colour(scores: Scores) -> str:
@@ -192,16 +181,16 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.
     what = (
         f"{len(result.scores)} models, trained and tested on the same records in {count(repeats, 'repeat')}."
     )
-    section = page.section("Answer").add(*others, what, *failures(result))
+    section = page.section("Answer").add(*others).note(what).add(*failures(result))
     if repeats > 1 and len({split.test for split in result.splits.values()}) == 1:
-        section.add(
+        section.note(
             "All repeats test on the same records, which have the role of test records: how the answer would change "
             "with others is not in the intervals."
         )
     if "change" in pictures:
         words = "Error over that of physics only on the same records: mean and interval of each arm."
         section.figure(pictures["change"], words)
-    section = page.section("Arms").add(arms_table(result), _HOW)
+    section = page.section("Arms").add(arms_table(result)).note(_HOW)
     if "errors" in pictures:
         words = "Every repeat of every arm; the bar is the mean, the dashed line the noise."
         section.figure(pictures["errors"], words)
@@ -211,5 +200,5 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, np.
         for seed, s in result.splits.items()
     ]
     heads = ("seed>", "train", "validation", "test", "out of range")
-    page.section("Records").add(table(heads, splits), records_table(dataset))
+    records_section(page, dataset).note(table(heads, splits))
     return page

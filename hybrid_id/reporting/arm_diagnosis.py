@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.coupled_gear import CoupledGear
@@ -19,35 +17,11 @@ from hybrid_id.diagnosis.whole_robot import brought_to
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of, stem
+from hybrid_id.reporting import diagnosis_words as say
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, errors_by_row
-from hybrid_id.reporting.diagnosis_words import (
-    asserted,
-    called,
-    capital,
-    experiment_lines,
-    failed_lines,
-    headline,
-    implausible_lines,
-    joined,
-    joint_words,
-    measured,
-    moved_line,
-    percent,
-    rejected_lines,
-    rest_line,
-    share_interval,
-    share_words,
-    shrink_line,
-    skew_lines,
-    spot_words,
-    sure_words,
-    tie_lines,
-    unmeasured,
-    words_of,
-)
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import journal, new_figure, pixels, shortened
-from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
+from hybrid_id.reporting.tables import capital, count, interval_words, table
 from hybrid_id.reporting.units import geared, in_unit, shown_unit
 from hybrid_id.systems.by_joint import part_with
 
@@ -63,24 +37,18 @@ _VERDICTS = {
 _REJECTED = "improbable, of a size that may be zero, or no help beside values of each record's own"
 _DIFFERS = "nothing; values differ from record to record"
 _HOW = (
-    "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
-    "its own motion. What acts on all joints, as a floor does, and several of them find likely, is judged by all of "
-    "them simulated. What a joint's records cannot distinguish is then compared with all joints simulated, where it is "
-    "a tenth of the robot's gap or more, and what is claimed has to help there. As far as something remains at a "
-    "joint, what is named there may be the image of something else, which lowers its probability. Where two "
-    "neighbours lack something, one of them something outside the catalogue, a gear is tried by which a motor turns "
-    "with both. "
-    "Last, the re-fitted and the corrected robot are fitted once more as a whole, driven by commands alone, and the "
-    "test records measure them."
+    "Each joint is searched by itself while the others move as they were measured. What acts on all joints, as a floor "
+    "does, and what a joint's records cannot distinguish is judged with all joints simulated. Where two neighbours "
+    "lack something, a gear is tried by which a motor turns with both. As far as something remains at a joint, what is "
+    "named there may be the image of something else, which lowers its probability. Last, the re-fitted and the "
+    "corrected robot are fitted once more as a whole, driven by commands alone, and the test records measure them."
 )
 _PART = (
-    "The gap is what the nominal model leaves of the train records after a re-fit of its parameters, beyond noise and "
-    "what other values in each record explain: mean squares, the other joints moving as they were measured, each "
-    "joint's errors taken relative to how far it moves. One joint often has nearly all of it, for a third of another's "
-    "error is a ninth of its part. The interval of an effect's share reaches down to what it would be if values of "
-    "each record's own hid a gap at other joints, and up to what it would be if small parts of other joints were none. "
-    "RMSE is of all joints simulated, so that what mends one joint may "
-    "lower the errors of others."
+    "The gap is what the nominal model leaves of the train records after a re-fit, beyond noise and what other values "
+    "in each record explain: mean squares, each joint's relative to how far it moves, the others moving as measured. "
+    "One joint often has nearly all of it, for a third of another's error is a ninth of its part. The interval of a "
+    "share holds what it would be if other joints' gaps were larger or none. RMSE is of all joints simulated, so that "
+    "what mends one joint may lower the errors of others."
 )
 _LEFT = "Parts of the gap are of what the coupled gear leaves: what it explains is in none of them."
 _OF_ALL = (
@@ -103,27 +71,29 @@ def arm_headline(found: ArmDiagnosis) -> str:
     of = f"what the gear{'s' if len(found.gears) > 1 else ''} leaves of {of}" if found.gears else of
     if found.selected:
         said = [
-            f"{words_of(one.name)} at {_joint(one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
-            f"({f'{between}; ' if (between := share_interval(one)) else ''}{sure_words(one)})"
+            f"{say.words_of(one.name)} at {_joint(one)}{' explains' if k == 0 else ''} "
+            f"{say.share_words(one, say.sure_words(one))}"
             for k, (one, _, _) in enumerate(large)
         ]
-        sentence = f"{capital(joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
+        sentence = f"{capital(say.joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
         rest = found.remainder
         sentence += (
-            f"{percent(rest)} remains unexplained." if rest >= NEGLIGIBLE else "nothing structural remains."
+            f"{say.percent(rest)} remains unexplained."
+            if rest >= NEGLIGIBLE
+            else "nothing structural remains."
         )
         if found.unknown:
-            there = joined(found.joints_with_unknown)
+            there = say.joined(found.joints_with_unknown)
             sentence += (
                 f" What remains at {there} has a cause that the catalogue lacks, or several small ones."
             )
         if small:
             said = [
-                f"{words_of(one.name)} at {_joint(one)} ({percent(own.share or 0.0)} of that joint's own gap; "
-                f"{sure_words(one)})"
+                f"{say.words_of(one.name)} at {_joint(one)} ({say.percent(own.share or 0.0)} of that joint's own gap; "
+                f"{say.sure_words(one)})"
                 for one, own, _ in small
             ]
-            sentence += f" Of less than 0.5 % of the robot's gap each: {joined(said)}."
+            sentence += f" Of less than 0.5 % of the robot's gap each: {say.joined(said)}."
     else:
         sentence = _nothing_named(found)
     if found.interrupted:
@@ -136,11 +106,11 @@ def arm_headline(found: ArmDiagnosis) -> str:
 
 def gear_words(one: CoupledGear) -> str:
     """A gear that the model lacks, in a sentence."""
-    turns = measured(one.turns, _ends(one.turns, one.std), "1")
+    turns = say.measured(one.turns, _ends(one.turns, one.std), "1")
     return (
         f"The motor of {one.motor} turns with {one.joint}, too: {turns} turns behind its own gear for one of that "
         f"joint (probability {one.probability:.2f}). With such a coupled gear, which the model lacks, the mean square "
-        f"of both joints' errors on records left out falls by {percent(one.share)}."
+        f"of both joints' errors on records left out falls by {say.percent(one.share)}."
     )
 
 
@@ -181,16 +151,17 @@ def _nothing_named(found: ArmDiagnosis) -> str:
     if found.of_joints == "outside_catalogue":
         return (
             f"No effect of the catalogue surely explains any of {gap}, and something structural remains at "
-            f"{joined(there)}."
+            f"{say.joined(there)}."
         )
     if found.of_joints == "parameters_only":
         values = "Other" if found.gears else "Wrong"
-        return f"{values} parameter values explain {gap} at {joined(there)}, and no effect is missing at {any_joint}."
+        at = say.joined(there)
+        return f"{values} parameter values explain {gap} at {at}, and no effect is missing at {any_joint}."
     if found.of_joints == "no_gap":
         further = " further" if found.gears else ""
         surely = "predicts records left out surely better than the model"
         return f"There is no{further} gap: no effect at {any_joint} {surely}."
-    return headline(found.joints[there[0]])
+    return say.headline(found.joints[there[0]])
 
 
 def lacks(found: ArmDiagnosis, joint: str) -> str:
@@ -202,9 +173,10 @@ def lacks(found: ArmDiagnosis, joint: str) -> str:
         return f"a coupled gear; beside it {rest}" if with_gear else rest
     several = len(one.model.joints) > 1  # of a coupled gear
     return ("a coupled gear; " if with_gear else "") + "; ".join(
-        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}"
-        f"{f' of {joint_words(e.where, one.model)}' if several else ''}, {spot_words(e.name, e.where, one.model)}"
-        for e in asserted(one)
+        f"{say.words_of(e.name)}{' or what looks like it' if e.tied_with else ''}"
+        f"{f' of {say.joint_words(e.where, one.model)}' if several else ''}, "
+        f"{say.spot_words(e.name, e.where, one.model)}"
+        for e in say.asserted(one)
     )
 
 
@@ -213,26 +185,19 @@ def joints_table(found: ArmDiagnosis) -> Table:
 
     Below them those that were left out, with the reason; but for those that nobody has asked for.
     """
-    rows = []
-    for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
-        one = found.joints[joint]
-        sure = "; ".join(f"{e.together:.2f}" for e in asserted(one))
-        explained = "; ".join(map(share_words, asserted(one)))
-        left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
-        rows.append(
-            (joint, lacks(found, joint), percent(part), explained, sure, left, *_errors_cells(found, joint))
-        )
-    models = _models(found)
-    units = {row[-1] for row in rows} - {""} if models else set()
-    if len(units) == 1:  # a column less, where terminals are narrow
-        rows, errors = [row[:-1] for row in rows], [f"RMSE {name} ({min(units)})>" for name in models]
-    else:
-        errors = [*(f"RMSE {name}>" for name in models), *(("unit",) if models else ())]
-    own = "share of the joint's own gap>"
     part = "part of what the gear leaves>" if found.gears else "part of the gap>"
-    heads = ("joint", "lacks", part, own, "probability>", "unexplained>", *errors)
-    if len(rows) == 1:  # all of it: of the other joints nothing is known
-        heads, rows = heads[:2] + heads[3:], [row[:2] + row[3:] for row in rows]
+    heads = ["joint", "lacks", part, "share of the joint's own gap>", "probability>", "unexplained>"]
+    if models := _models(found):
+        heads += [*(f"RMSE {name}>" for name in models), "unit"]
+    rows = []
+    for joint, share in sorted(found.parts.items(), key=lambda item: -item[1]):
+        one = found.joints[joint]
+        sure = "; ".join(f"{e.together:.2f}" for e in say.asserted(one))
+        explained = "; ".join(map(say.share_words, say.asserted(one)))
+        left = say.percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
+        of_all = say.percent(share) if len(found.parts) > 1 else ""  # of the other joints nothing is known
+        own = (lacks(found, joint), of_all, explained, sure, left)
+        rows.append((joint, *own, *_errors_cells(found, joint)))
     rows += [
         (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
         for joint, why in found.skipped.items()
@@ -271,7 +236,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     """Errors of the whole robot on the test records, and the shrink."""
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
-        return [f"{unmeasured(found.dataset)}."]
+        return [f"{say.unmeasured(found.dataset)}."]
     corrected = f", corrected {gap.with_effect:.3g}" if found.selected or found.gears else ""
     anew = "" if found.horizon.kind == "whole" else f" in {found.horizon.length}"
     lines = [
@@ -285,9 +250,9 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
             "determine all parameters."
         )
     if found.selected or found.gears:
-        lines.append(shrink_line(gap))
+        lines.append(say.shrink_line(gap))
     if halting := [joint for joint, one in found.joints.items() if one.rest_differs]:
-        lines.append(rest_line(f" at {joined(halting)}"))
+        lines.append(say.rest_line(f" at {say.joined(halting)}"))
     return lines
 
 
@@ -295,7 +260,7 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, values that moved far, and joints not asked for."""
     large, small, _ = _by_size(found)
     sizes = [
-        f"{_joint(one)}: {words_of(one.name)}, {', '.join(values)}."
+        f"{_joint(one)}: {say.words_of(one.name)}, {', '.join(values)}."
         for one, own, joint in (*large, *small)
         if (values := _sizes(found, one, own, joint))
     ]
@@ -303,27 +268,27 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [common_words(one, found.dataset.outputs) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}, fitted by itself: {one.changes.removesuffix('.')}."] if one.changes else []
-        more = (*rejected_lines(one, _REJECTED), *implausible_lines(one), *failed_lines(one))
+        more = (*say.rejected_lines(one, _REJECTED), *say.implausible_lines(one), *say.failed_lines(one))
         lines += [f"{joint}: {line}" for line in more]
     lines += [
-        f"{joint}: values differ from record to record (friction of another day, say), {joined(list(one.varying))} "
+        f"{joint}: values differ from record to record (friction of another day, say), {say.joined(list(one.varying))} "
         "(standard deviation); values of each record's own leave noise."
         for joint, one in found.joints.items()
         if one.varying
     ]
     for joint, groups in found.tied.items():
         one = found.joints[joint]
-        more = (*tie_lines(replace(one, ties=groups), brief=True), *experiment_lines(one))
+        more = (*say.tie_lines(replace(one, ties=groups), brief=True), *say.experiment_lines(one))
         lines += [f"{joint}: {line}" for line in more]
     # what acts on all joints, which each of them carries, comes once
     nominal = {info.name: info for one in found.joints.values() for info in one.details.nominal.table}
     fitted = [(info, *found.estimates.get(name, (0.0, 0.0))) for name, info in nominal.items()]
     moved = [(info, value, _ends(value, std)) for info, value, std in fitted if std > 0.0]
-    lines += moved_line(((i, v, e) for i, v, e in moved if e is not None), found.dataset.outputs, MOVED)
+    lines += say.moved_line(((i, v, e) for i, v, e in moved if e is not None), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
-    if beside := [f"{words_of(one.name)} at {_joint(one)}" for one, _, _ in _by_size(found)[2]]:
-        lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
-    return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
+    if beside := [f"{say.words_of(one.name)} at {_joint(one)}" for one, _, _ in _by_size(found)[2]]:
+        lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {say.joined(beside)}.")
+    return lines + ([f"not diagnosed: {say.joined(left)} ({NOT_ASKED})."] if left else [])
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) -> list[str]:
@@ -347,7 +312,7 @@ def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) 
         ends = _ends(factor * value, factor * std) if known else None
         alone = factor * own.parameters[symbol][0]
         beside = f" [by itself {alone:.4g}]" if ends and not ends[0] <= alone <= ends[1] else ""
-        said.append(f"{called(info)} {measured(factor * value, ends, unit)}{beside}")
+        said.append(f"{say.called(info)} {say.measured(factor * value, ends, unit)}{beside}")
     return said
 
 
@@ -360,21 +325,12 @@ def common_words(one: CommonSize, outputs: Sequence[Channel]) -> str:
     """
     shown, factor = shown_unit(one.unit, outputs)
     unit = "" if shown == "1" else f" {shown}"
-    what = f"{words_of(one.effect)} of {joined(list(one.joints))}: {one.symbol}"
+    what = f"{say.words_of(one.effect)} of {say.joined(list(one.joints))}: {one.symbol}"
     if not one.common:
         return f"{what} differs from joint to joint (chance {one.chance:.1g})."
     value, std = factor * one.value, factor * one.std
     ends = interval_words(value - 1.96 * std, value + 1.96 * std)
     return f"{what} may be one for all of them, {value:.4g} ({ends}){unit}."
-
-
-def arm_table(found: ArmDiagnosis) -> RenderableType:
-    """What the terminal shows."""
-    parts: list[RenderableType] = [Text(arm_headline(found), style="bold")]
-    parts += map(Text, error_lines(found))
-    parts.append(joints_table(found))
-    parts += [Text(line) for line in remark_lines(found)]
-    return Group(*parts)
 
 
 def arm_figures(found: ArmDiagnosis) -> dict[str, np.ndarray]:
@@ -387,8 +343,8 @@ def joints_figure(found: ArmDiagnosis) -> Figure:
     """RMSE of each joint's angles, seen at the joint, on the test records, of the three models."""
     models = _models(found)
     names = () if found.model.tree is None else found.model.tree.names
-    measured = [] if found.refit_errors is None else list(found.refit_errors.rmse)
-    outputs = [one for one in measured if stem(one) in ("q_a", "q_m")]  # speeds have another unit
+    every = [] if found.refit_errors is None else list(found.refit_errors.rmse)
+    outputs = [one for one in every if stem(one) in ("q_a", "q_m")]  # speeds have another unit
     shown = {one: 1e3 / (geared(one, found.model) or 1.0) for one in outputs}
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
@@ -422,14 +378,13 @@ def arm_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
-    joints = page.section("Joints").add(joints_table(found), *([_LEFT] if found.gears else []), _PART)
+    joints = page.section("Joints").add(joints_table(found))
+    joints.note(*([_LEFT] if found.gears else []), _PART)
     if pages:
         joints.links("Each joint's own page:", pages)
-    joints.add(*remark_lines(found), _HOW)
+    joints.add(*remark_lines(found)).note(_HOW)
     tests = page.section("Test records").add(*map(capital, error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records = page.section("Records").add(records_table(found.dataset), *skew_lines(found.skews))
-    if findings:
-        records.add(findings_list(findings))
+    records_section(page, found.dataset, findings).note(*say.skew_lines(found.skews))
     return page

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -13,41 +13,11 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.result import LIKELY, Diagnosis
 from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.diagnosis_words import (
-    LEAST_SHARE,
-    asserted,
-    capital,
-    caution_lines,
-    change_lines,
-    disturbance_line,
-    error_lines,
-    experiment_lines,
-    extrapolation_lines,
-    failed_lines,
-    headline,
-    implausible_lines,
-    joined,
-    joint_words,
-    moved_line,
-    moved_values,
-    not_identifiable_lines,
-    percent,
-    place_words,
-    rejected_lines,
-    share_words,
-    skew_lines,
-    thinned_line,
-    tie_lines,
-    unselected_tie_lines,
-    value_lines,
-    varying_lines,
-    where_line,
-    words_of,
-)
-from hybrid_id.reporting.page import Page, Section
+from hybrid_id.reporting import diagnosis_words as say
+from hybrid_id.reporting.page import Page, Section, records_section
 from hybrid_id.reporting.residuals import residual_blocks
 from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_cells
-from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
+from hybrid_id.reporting.tables import capital, interval_words, table
 from hybrid_id.reporting.units import shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -56,49 +26,41 @@ TOP = 4
 """Effects that the terminal shows."""
 
 
-def summary(diagnosis: Diagnosis) -> str:
-    """The diagnosis as plain text of at most 25 lines of 120 characters."""
-    console = Console(width=120, no_color=True, highlight=False, emoji=False)
-    with console.capture() as captured:
-        console.print(diagnosis_table(diagnosis))
-    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
-
-
 def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> RenderableType:
     """What the terminal shows of a diagnosis; ``max_effects`` is how many a search could add."""
-    parts: list[RenderableType] = [Text(headline(diagnosis), style="bold")]
-    parts += map(Text, error_lines(diagnosis))
-    parts += [Text(line) for line in (where_line(diagnosis), disturbance_line(diagnosis)) if line]
+    parts: list[RenderableType] = [Text(say.headline(diagnosis), style="bold")]
+    parts += map(Text, say.error_lines(diagnosis))
+    parts += [Text(line) for line in (say.where_line(diagnosis), say.disturbance_line(diagnosis)) if line]
     parts.append(effects_table(diagnosis, TOP))
-    parts += map(Text, value_lines(diagnosis))
+    parts += map(Text, say.value_lines(diagnosis))
     remarks = (
-        *tie_lines(diagnosis, brief=True)[:2],
-        *varying_lines(diagnosis),
-        *change_lines(diagnosis),
-        *rejected_lines(diagnosis),
-        *experiment_lines(diagnosis),
-        *implausible_lines(diagnosis, 4),
-        *not_identifiable_lines(diagnosis, 1),
-        *extrapolation_lines(diagnosis)[:1],
-        *failed_lines(diagnosis),
-        *caution_lines(diagnosis, max_effects),
+        *say.tie_lines(diagnosis, brief=True)[:2],
+        *say.varying_lines(diagnosis),
+        *say.change_lines(diagnosis),
+        *say.rejected_lines(diagnosis),
+        *say.experiment_lines(diagnosis),
+        *say.implausible_lines(diagnosis, 4),
+        *say.not_identifiable_lines(diagnosis, 1),
+        *say.extrapolation_lines(diagnosis)[:1],
+        *say.failed_lines(diagnosis),
+        *say.caution_lines(diagnosis, max_effects),
     )
     parts += [Text(line, style="yellow") for line in remarks]
-    parts += [Text(line) for line in (thinned_line(diagnosis),) if line]
+    parts += [Text(line) for line in (say.thinned_line(diagnosis),) if line]
     return Group(*parts)
 
 
 def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     """The effects that were tried (the first ``most``): the selected ones by share, then the others by probability."""
     tied, rows = {member for group in diagnosis.ties for member in group}, []
-    told = asserted(diagnosis)
+    told = say.asserted(diagnosis)
     for one in diagnosis.effects[:most]:
         others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
         rows.append(
             (
-                words_of(one.name), "" if one.share is None else share_words(one),
+                say.words_of(one.name), "" if one.share is None else say.share_words(one),
                 f"{one.probability:.3f}",
-                f"{joint_words(one.where, diagnosis.model)}, {place_words(one.where)}",
+                f"{say.joint_words(one.where, diagnosis.model)}, {say.place_words(one.where)}",
                 Text(others) if not one.selected else Text("selected", style="green") if one in told else "negligible",
             )
         )  # fmt: skip
@@ -148,7 +110,7 @@ _BASE_RATE = (
     "real machines have many small ones."
 )
 _NOWHERE = (
-    f"No torque over one signal explains {percent(LEAST_SHARE)} of the re-fitted model's residual or more."
+    f"No torque over one signal explains {say.percent(say.LEAST_SHARE)} of the re-fitted residual or more."
 )
 _TIED = "Some are indistinguishable on these records: see Ties and next experiment."
 _NO_TIES = "Nothing is indistinguishable, so no experiment is proposed."
@@ -166,21 +128,18 @@ _CAPTIONS = {
     "what remains. The line: 95 % interval.",
     "gap": "NRMSE of free runs over the test records (1: as good as the signal's mean), and record by record. Dashed: "
     "the noise floor.",
-    "missing_torque": "The torque that would explain the residual, over the signals that explain most; above "
-    "each panel the part of the mean square that it explains on records left out. Where only voltage and angle were "
+    "missing_torque": "The torque that would explain the residual, over the signals that explain most; above each "
+    "panel the part of the mean square that it explains on records left out. Where only voltage and angle were "
     "recorded, torques are known up to the factor that the nominal values fix.",
     "location": "Part of the residual of each model that a torque over one signal, at one side of a joint, explains on "
     "records left out. The rows overlap: speed, angle and command go together in most records.",
-    "candidates": "RMS error on records left out with one effect added, over the re-fitted model's, and its "
-    "probability.",
-    "torque_map": "The missing torque over angle and speed, where the records have been; above each map the part of "
-    "the residual that such a torque explains on records left out (chance: none). What changes along the "
-    "speed is friction or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry "
-    "friction. What the model's own parameters could do (a slope over the speed, say) is not shown. A right model's "
+    "torque_map": "The missing torque over angle and speed, and above it its part of the residual on records left out "
+    "(chance: none). What changes along the speed is friction or the motor, what changes along the angle a load or the "
+    "gear; a step at speed 0 is dry friction. What the model's own parameters could do is not shown. A right model's "
     "map is without colour.",
-    "reversals": "Error of free runs after the joint has reversed, mean of all reversals in all records with its "
-    "standard error; positive where the machine is ahead in its new direction. Play, stiction and friction with memory "
-    "begin anew at each reversal, so they show here; a right model stays at 0, about.",
+    "reversals": "Error of free runs after the joint has reversed, mean of all reversals with its standard error; "
+    "positive where the machine is ahead in its new direction. Play, stiction and friction with memory begin anew at "
+    "each reversal, so they show here; a right model stays at 0, about.",
     "worst_record": "The test record that is predicted worst: measured, simulated in open loop, and the residuals.",
 }
 _NO_TEST = (
@@ -209,9 +168,9 @@ def diagnosis_page(
     """
     dataset, details = diagnosis.details.dataset, diagnosis.details
     model = diagnosis.model
-    names = joined([joint_words(joint.name, model) for joint in model.joints])
+    names = say.joined([say.joint_words(joint.name, model) for joint in model.joints])
     by_itself = f", {names}" if model.seats else ""
-    page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", f"{beside} {headline(diagnosis)}".lstrip())
+    page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", f"{beside} {say.headline(diagnosis)}".lstrip())
     captions = _CAPTIONS | ({} if diagnosis.with_effect else {"worst_record": _NO_TEST})
 
     def picture(section: Section, *names: str) -> None:
@@ -224,51 +183,43 @@ def diagnosis_page(
         effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
     picture(effects, "shares")
     shown = max(sum(one.selected or one.probability >= LIKELY for one in diagnosis.effects), SHOWN)
-    effects.add(effects_table(diagnosis, shown), *map(capital, value_lines(diagnosis)))
+    effects.add(effects_table(diagnosis, shown), *map(capital, say.value_lines(diagnosis)))
     picture(effects, *(_TORQUES if diagnosis.selected else ()))
     remarks = (
-        *varying_lines(diagnosis),
-        *rejected_lines(diagnosis),
-        *extrapolation_lines(diagnosis),
-        *failed_lines(diagnosis),
-        *caution_lines(diagnosis, max_effects),
+        *say.varying_lines(diagnosis),
+        *say.rejected_lines(diagnosis),
+        *say.extrapolation_lines(diagnosis),
+        *say.failed_lines(diagnosis),
+        *say.caution_lines(diagnosis, max_effects),
     )
     effects.add(*map(capital, remarks))
-    if others := sorted({words_of(one.name) for one in diagnosis.effects[shown:]}):
+    if others := sorted({say.words_of(one.name) for one in diagnosis.effects[shown:]}):
         effects.add(capital(f"also tried, none of them more probable: {', '.join(others)}."))
     if diagnosis.ties:
         effects.add(Text(_TIED, style="yellow"))
-    picture(effects, "candidates")
     effects.add(f"{_HOW} {_BASE_RATE}" if robot else _HOW)
-    location = page.section("Location").add(capital(where_line(diagnosis) or _NOWHERE))
+    location = page.section("Location").add(capital(say.where_line(diagnosis) or _NOWHERE))
     picture(location, *(() if diagnosis.selected else _TORQUES))
-    if words := disturbance_line(diagnosis):
+    if words := say.disturbance_line(diagnosis):
         location.add(capital(words))
     picture(location, "location", "reversals")
-    tests = page.section("Test records").add(*map(capital, error_lines(diagnosis)))
+    tests = page.section("Test records").add(*map(capital, say.error_lines(diagnosis)))
     picture(tests, "gap", "worst_record")
     page.section("Parameters").add(
         *([diagnosis.changes] if diagnosis.changes else []),
-        *map(capital, implausible_lines(diagnosis)),
-        *map(capital, moved_line(moved_values(diagnosis), dataset.outputs)),
-        *map(capital, not_identifiable_lines(diagnosis)),
+        *map(capital, say.implausible_lines(diagnosis)),
+        *map(capital, say.moved_line(say.moved_values(diagnosis), dataset.outputs)),
+        *map(capital, say.not_identifiable_lines(diagnosis)),
         parameters_table(diagnosis),
         *combinations_table(details.studies[-1]),
         *([_BY_ITSELF] if robot else []),
         _INTERVALS,
         LEGEND,
     )
-    role, channels = "test" if dataset.test else "train", (*dataset.outputs, *dataset.inputs)
-    where = count(len(dataset.test or dataset.train), f"{role} record")
-    page.section("Residuals").add(
-        *residual_blocks(details.residual_tests, where, with_joint_names(channels, model))
-    )
-    ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis), *unselected_tie_lines(diagnosis)]
+    channels = with_joint_names((*dataset.outputs, *dataset.inputs), model)
+    page.section("Residuals").add(*residual_blocks(details.residual_tests, dataset, channels))
+    ties = [*say.tie_lines(diagnosis), *say.experiment_lines(diagnosis), *say.unselected_tie_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(capital, ties or [_NO_TIES]))
-    records = page.section("Records").add(records_table(dataset))
-    if words := thinned_line(diagnosis):
-        records.add(capital(words))
-    records.add(*map(capital, skew_lines(diagnosis.skews)))
-    if findings:
-        records.add(findings_list(findings))
+    thinned = filter(None, [say.thinned_line(diagnosis)])
+    records_section(page, dataset, findings).add(*map(capital, (*thinned, *say.skew_lines(diagnosis.skews))))
     return page

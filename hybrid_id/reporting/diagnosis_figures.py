@@ -11,15 +11,12 @@ from matplotlib.figure import Figure
 
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.maps import Reversals, TorqueMap
-from hybrid_id.diagnosis.model import added_effect
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
     errors_by_name,
-    joint_words,
     percent,
-    place_words,
     side_words,
     words_of,
 )
@@ -34,6 +31,7 @@ from hybrid_id.reporting.style import (
     pixels,
     plain_logarithm,
     power_of_ten,
+    rows_of_panels,
     scaled_unit,
     shortened,
     symbol,
@@ -42,8 +40,8 @@ from hybrid_id.reporting.style import (
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
-PROFILES, SHARES, CANDIDATES = 3, 9, 12
-"""Panels of missing torques, bars of shares and candidates that are drawn at most."""
+PROFILES, SHARES = 3, 9
+"""Panels of missing torques and bars of shares that are drawn at most."""
 ANGLES = 4
 """Outputs whose reversals are drawn at most."""
 MAX_NAME = 16
@@ -70,8 +68,6 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
         figures["torque_map"] = torque_map_figure(dataset, maps, diagnosis.model)
     if all(details.reversals.values()):
         figures["reversals"] = reversal_figure(dataset, details.reversals)
-    if diagnosis.search.steps and diagnosis.search.steps[0].candidates:
-        figures["candidates"] = candidates_figure(diagnosis)
     worst = details.worst_record
     figures["worst_record"] = comparison_figure(dataset, worst, worst.records[0])
     return {name: pixels(figure) for name, figure in figures.items()}
@@ -84,17 +80,13 @@ def shares_figure(diagnosis: Diagnosis) -> Figure:
         (words_of(c.name), c.share or 0.0, c.share_interval, MODELS["corrected"]) for c in diagnosis.selected
     ]
     rows.append(("unexplained", diagnosis.remainder, diagnosis.remainder_interval, GREY))
-    figure = new_figure(0.27 * len(rows) + 0.9)
-    axes = figure.subplots()
+    figure, (axes,) = rows_of_panels([name for name, *_ in rows])
     for row, (_, share, interval, colour) in enumerate(rows):
         axes.barh(row, 100 * share, 0.6, color=colour)
         if interval is not None:
             low, high = interval
             axes.plot([100 * low, 100 * high], [row, row], color="black", lw=1.2)
-    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
     axes.set(xlim=(0, 105), xlabel="share of the gap with its 95 % interval [%]")
-    axes.tick_params(axis="y", length=0)
-    axes.invert_yaxis()
     return figure
 
 
@@ -173,8 +165,8 @@ def location_figure(diagnosis: Diagnosis) -> Figure:
     """Part of the residual of each model that a torque over one signal explains on records left out."""
     shown = [one for one in diagnosis.location if one.share > LEAST_SHARE][:SHARES]
     after = {_key(one): max(one.share, 0.0) for one in diagnosis.residual_after}
-    figure = new_figure(0.27 * len(shown) + 0.9)
-    axes = figure.subplots()
+    names = [f"{side_words(one.joint, one.side, diagnosis.model)}: {one.signal}" for one in shown]
+    figure, (axes,) = rows_of_panels(names)
     rows = np.arange(len(shown))
     before = [100 * max(one.share, 0.0) for one in shown]
     if diagnosis.selected:
@@ -183,41 +175,8 @@ def location_figure(diagnosis: Diagnosis) -> Figure:
         axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
     else:
         axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
-    axes.set_yticks(rows, [f"{side_words(o.joint, o.side, diagnosis.model)}: {o.signal}" for o in shown])
     axes.set(xlim=(0, 100), xlabel="explained part of the residual [% of the mean square]")
-    axes.invert_yaxis()
     axes.legend(loc="lower right")
-    return figure
-
-
-@journal()
-def candidates_figure(diagnosis: Diagnosis) -> Figure:
-    """Errors on records left out of the candidates of the first step, and the probability of each.
-
-    What was not promising enough to be fitted to the end has the errors of its fit itself, and a hollow mark.
-    """
-    first = diagnosis.search.steps[0]
-    shown = first.candidates[:CANDIDATES]
-    rated = {(c.name, c.where): c for c in diagnosis.effects}
-    figure = new_figure(0.21 * len(shown) + 0.9)
-    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.7, 1))
-    names = []
-    for row, candidate in enumerate(shown):
-        name = added_effect(candidate, first.before)
-        names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1], diagnosis.model)}")
-        one = rated.get(name)  # short runs were not asked about what explains little along whole ones
-        colour = MODELS["corrected"] if one is not None and one.selected else GREY
-        ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
-        left.plot([min(ratio, 1.0), 1.0], [row, row], color=GREY, lw=0.8, zorder=0)
-        face = colour if candidate.judged else "white"
-        left.plot(ratio, row, "o", ms=4.5, color=colour, markerfacecolor=face)
-        right.barh(row, 0.0 if one is None else one.probability, 0.6, color=colour)
-    left.axvline(1.0, color="black", lw=0.6)
-    left.set_yticks(range(len(shown)), names)
-    left.set_xlabel("RMS error on records left out (hollow: of the fit)\nrelative to the re-fitted model")
-    right.set(xlim=(0, 1), xlabel="probability")
-    right.tick_params(axis="y", length=0)
-    left.invert_yaxis()
     return figure
 
 
@@ -262,16 +221,9 @@ def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -
                 continue
             counts = one.count
             axes.plot(one.time, factor * one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
-            for side in (-1.0, 1.0):
-                label = f"{name} model ± standard error" if side > 0 else None
-                axes.plot(
-                    one.time,
-                    factor * (one.mean + side * one.error),
-                    color=MODELS[name],
-                    lw=0.5,
-                    alpha=0.7,
-                    label=label,
-                )
+            ends = (factor * (one.mean + side * one.error) for side in (-1.0, 1.0))
+            words = f"{name} model ± standard error"
+            axes.fill_between(one.time, *ends, color=MODELS[name], alpha=0.2, lw=0, label=words)
         axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(unit, 0)}")
         axes.set_title(f"{symbol(output)}{joints.get(output, '')}, {counts} reversals", loc="left")
         axes.set_xlim(0.0, None)

@@ -17,7 +17,7 @@ from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.reporting.tables import count, interval_words
+from hybrid_id.reporting.tables import capital, count, interval_words
 from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
@@ -93,8 +93,7 @@ def headline(diagnosis: Diagnosis) -> str:
 def _effects(diagnosis: Diagnosis) -> str:
     chosen = asserted(diagnosis)
     said = [
-        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
-        f"({f'{between}; ' if (between := share_interval(one)) else ''}{sure_words(one)})"
+        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {share_words(one, sure_words(one))}"
         for k, one in enumerate(chosen)
     ]
     rest = "nothing structural remains"
@@ -585,18 +584,13 @@ def percent(share: float) -> str:
     return f"{round(100 * min(share, 1.0))} %"
 
 
-def share_words(one: RatedEffect) -> str:
-    """The share of an effect that has one, and its interval."""
-    between = share_interval(one)
-    return percent(one.share or 0.0) + (f" ({between})" if between else "")
-
-
-def share_interval(one: RatedEffect) -> str:
-    """The interval of an effect's share as it is printed; empty where it has none, or none that says more than it."""
-    if one.share is None or one.share_interval is None:
-        return ""
-    between = range_percent(one.share_interval)
-    return "" if between == range_percent((one.share, one.share)) else between
+def share_words(one: RatedEffect, *more: str) -> str:
+    """The share of an effect that has one, its interval where that says more, and more words beside it."""
+    beside = list(more)
+    if one.share is not None and one.share_interval is not None:
+        between = range_percent(one.share_interval)
+        beside[:0] = [between] if between != range_percent((one.share, one.share)) else []
+    return percent(one.share or 0.0) + (f" ({'; '.join(beside)})" if beside else "")
 
 
 def range_percent(interval: Interval) -> str:
@@ -608,8 +602,3 @@ def range_percent(interval: Interval) -> str:
 def joined(words: Sequence[str], last: str = "and") -> str:
     """A list as people say it."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
-
-
-def capital(words: str) -> str:
-    """A sentence's start."""
-    return words[:1].upper() + words[1:]

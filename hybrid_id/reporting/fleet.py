@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.results import write_rows
@@ -119,25 +117,16 @@ def why(study: FleetStudy, i: int) -> list[str]:
     return said
 
 
-def fleet_tables(study: FleetStudy) -> RenderableType:
-    """The outcome, the fleet's parameters, and who stands out."""
-    first, *others = verdict(study)
-    style = "yellow" if study.fleet.stands_out.any() else "green"
-    odd = [odd_table(study)] if study.fleet.stands_out.any() else []
-    parts = [Text(first, style=style), *map(Text, others), fleet_table(study), *odd]
-    return Group(*parts, *(Text(f"{name}: {reason}", style="red") for name, reason in study.failed.items()))
-
-
 def fleet_table(study: FleetStudy) -> Table:
     """Mean and spread of each parameter."""
     of, rows = study.fleet, []
     for k, name in enumerate(study.names):
         info = study.system.parameter(name)
-        if of.held[k]:
-            rows.append((name, info.doc, f"{of.mean[k]:.4g}", "held by its prior", info.unit, "", "", ""))
-            continue
-        if not np.isfinite(of.mean_error[k]):
-            rows.append((name, info.doc, "", "not identifiable", info.unit, "", "", ""))
+        if of.held[k] or not np.isfinite(of.mean_error[k]):
+            mean, words = (
+                (f"{of.mean[k]:.4g}", "held by its prior") if of.held[k] else ("", "not identifiable")
+            )
+            rows.append((name, info.doc, mean, words, info.unit, "", "", ""))
             continue
         share = f" ({100 * of.spread[k] / abs(of.mean[k]):.1f} %)" if of.mean[k] else ""
         within = f"{of.record_spread[k]:.3g}" if np.isfinite(of.record_spread[k]) else "one record each"
@@ -186,12 +175,14 @@ def fleet_page(study: FleetStudy, pictures: dict[str, np.ndarray]) -> Page:
     section = page.section("Who stands out").add(*others)
     if study.fleet.stands_out.any():
         section.add(odd_table(study))
-    page.section("Mean and spread").add(fleet_table(study), _HOW)
-    page.section("Robots").figure(
-        pictures["robots"],
-        "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
-        "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
-    )
+    page.section("Mean and spread").add(fleet_table(study)).note(_HOW)
+    robots = page.section("Robots")
+    for picture in pictures.values():
+        robots.figure(
+            picture,
+            "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
+            "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
+        )
     if study.failed:
         page.section("Robots without an estimate").add(table(("robot", "reason"), list(study.failed.items())))
     return page

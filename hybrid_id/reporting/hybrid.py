@@ -13,14 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.residuals import Residuals, residual_blocks
 from hybrid_id.reporting.study import LEGEND, bound_cells, reliability_cells
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, symbol
-from hybrid_id.reporting.tables import count, interval_words, records_table, table
+from hybrid_id.reporting.style import journal, new_figure, pixels, unit
+from hybrid_id.reporting.tables import capital, count, interval_words, table
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
-from hybrid_id.study.hybrid import DRIFT, HybridStudy, NetworkRole
+from hybrid_id.study.hybrid import HybridStudy, NetworkRole
 
 
 def hybrid_result(study: HybridStudy) -> dict[str, Any]:
@@ -139,22 +139,6 @@ def error_table(study: HybridStudy, dataset: Dataset) -> Table:
 
 
 @journal()
-def drift_figure(study: HybridStudy) -> Figure:
-    """A bar a parameter: how far it moved when the networks came in, in standard errors."""
-    drift = np.nan_to_num(study.drift)
-    figure = new_figure(0.22 * len(drift) + 0.8, 3.5)
-    axes = figure.subplots()
-    far = np.abs(drift) > DRIFT
-    axes.barh(np.arange(len(drift)), drift, color=np.where(far, COLOURS[1], COLOURS[0]), height=0.6)
-    axes.axvspan(-DRIFT, DRIFT, color=GREY, alpha=0.15, lw=0)
-    axes.axvline(0.0, color=GREY, lw=0.6)
-    axes.set_yticks(np.arange(len(drift)), [symbol(name) for name in study.names])
-    axes.invert_yaxis()
-    axes.set_xlabel("drift from physics alone to hybrid [standard errors]")
-    return figure
-
-
-@journal()
 def map_figure(
     angle: np.ndarray, speed: np.ndarray, output: np.ndarray, seen: np.ndarray, title: str, words: str
 ) -> Figure:
@@ -171,13 +155,15 @@ def map_figure(
 
 def hybrid_pictures(study: HybridStudy) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
-    figures = {"drift": drift_figure(study)} if study.result.chosen else {}
-    for role in study.roles:
-        words = f"output [{role.unit.replace(' ', chr(0x2009))}]"
-        figures[f"map_{role.where.replace('/', '_')}"] = map_figure(
-            role.angle, role.speed, role.map, role.seen[:, ::-1], f"network at {role.where}", words
+    return {
+        f"map_{role.where.replace('/', '_')}": pixels(
+            map_figure(
+                role.angle, role.speed, role.map, role.seen[:, ::-1], f"network at {role.where}",
+                f"output [{unit(role.unit)}]",
+            )
         )
-    return {name: pixels(figure) for name, figure in figures.items()}
+        for role in study.roles
+    }  # fmt: skip
 
 
 _ERRORS = (
@@ -196,20 +182,15 @@ def _lead(study: HybridStudy) -> str:
     models, chosen, warnings = study.result.models, study.result.chosen, study.warnings
     if not chosen:
         words = warnings[0] if warnings else "physics alone is kept"
-        return f"{words[0].upper()}{words[1:]}."
+        return f"{capital(words)}."
     before, after = (math.sqrt(2.0 * models[k].validation) for k in (0, chosen))
     words = (
-        f"{count(len(study.roles), 'network')} beside the physics, at the price {study.result.price:g}: the "
+        f"{count(len(study.roles), 'network')} beside the physics, at the price {study.result.price:g}: the typical "
+        f"error on validation records falls from {before:.3g} to {after:.3g} (1: as the noise says)."
     )
-    words += (
-        f"typical error on validation records falls from {before:.3g} to {after:.3g} (1: as the noise says)."
-    )
-    few = count(len(warnings), "warning")
-    return (
-        f"{words} Read the {few} below before you read the parameters."
-        if warnings
-        else (f"{words} No network does the physics' work.")
-    )
+    if warnings:
+        return f"{words} Read the {count(len(warnings), 'warning')} below before you read the parameters."
+    return f"{words} No network does the physics' work."
 
 
 def hybrid_page(
@@ -221,25 +202,16 @@ def hybrid_page(
     residuals: Residuals,
 ) -> Page:
     """The page of a hybrid training, with physics ``alone`` as `identify` would judge it."""
-    result = study.result
     page = Page(f"Physics and networks on {dataset.name}", _lead(study))
-    warnings = (Text(f"{words[0].upper()}{words[1:]}.", style="yellow") for words in study.warnings)
-    parameters = page.section("Parameters").add(drift_table(study, alone), LEGEND, _RELIABLE, *warnings)
+    warnings = (Text(f"{capital(words)}.", style="yellow") for words in study.warnings)
+    page.section("Parameters").add(drift_table(study, alone), LEGEND, _RELIABLE, *warnings)
     networks = page.section("Networks")
-    if result.chosen:
-        parameters.figure(
-            pictures["drift"],
-            "How far each parameter moved when the networks came in; grey: within three standard errors.",
-        )
-    else:
+    if not study.result.chosen:
         networks.add("What the networks have learnt; they are not kept.")
     networks.add(role_table(study.roles))
-    for name, picture in pictures.items():
-        if name.startswith("map_"):
-            networks.figure(picture, "Output over speed and angle; dots: where the records have been.")
+    for picture in pictures.values():
+        networks.figure(picture, "Output over speed and angle; dots: where the records have been.")
     page.section("Errors").add(_ERRORS, model_table(study), error_table(study, dataset))
-    role = "test" if dataset.test else "train"
-    where = count(len(dataset.test or dataset.train), f"{role} record")
-    page.section("Residuals").add(*residual_blocks(residuals, where, alone.outputs))
-    page.section("Records").add(records_table(dataset))
+    page.section("Residuals").add(*residual_blocks(residuals, dataset, alone.outputs))
+    records_section(page, dataset)
     return page

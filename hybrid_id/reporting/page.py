@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -16,8 +16,11 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id import __version__
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.provenance import program
 from hybrid_id.reporting.style import png
+from hybrid_id.reporting.tables import findings_list, records_table
 
 _LOADER = PackageLoader("hybrid_id.reporting", ".")
 _TEMPLATES = Environment(loader=_LOADER, autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -43,12 +46,18 @@ class Section:
 
     title: str
     blocks: list[Block] = field(default_factory=list)
+    on_screen: list[RenderableType] = field(default_factory=list)
 
     def add(self, *things: RenderableType) -> Section:
-        """Append what the terminal prints: text, rich tables, and groups of them; brackets in words are no markup."""
+        """Append what the terminal shows, too; see :meth:`note`."""
+        self.on_screen += [Text(thing) if isinstance(thing, str) else thing for thing in things]
+        return self.note(*things)
+
+    def note(self, *things: RenderableType) -> Section:
+        """Append text, rich tables, and groups of them to the page alone; brackets in words are no markup."""
         for thing in things:
             if isinstance(thing, Group):
-                self.add(*thing.renderables)
+                self.note(*thing.renderables)
             elif isinstance(thing, Table):
                 self.blocks.append(_table(thing))
             else:
@@ -93,6 +102,11 @@ class Page:
         self.sections.append(Section(title))
         return self.sections[-1]
 
+    def screen(self) -> Group:
+        """What the terminal shows of it: the outcome, and what was added to the sections but for mere notes."""
+        parts = (part for section in self.sections for part in section.on_screen)
+        return Group(Text(self.lead, style="bold"), *parts)
+
     def html(self) -> str:
         """The page as text; everything that came from the user is escaped."""
         return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__)
@@ -122,6 +136,13 @@ def _style(thing: object) -> str:
     return next((colour for colour in ("red", "yellow", "green") for word in words if colour in word), "")
 
 
+def records_section(page: Page, dataset: Dataset, findings: Sequence[Finding] = ()) -> Section:
+    """Append which records there are, and what the check of them remarked where it did; return the section."""
+    return page.section("Records").note(
+        records_table(dataset), *([findings_list(findings)] if findings else [])
+    )
+
+
 PACKAGES = ("torch", "torchdiffeq", "numpy", "scipy", "pandas")
 
 
@@ -148,7 +169,7 @@ def how_made(
     table.add_row("versions", f"Python {platform.python_version()}, {versions}")
     for name, value in (settings or {}).items():
         table.add_row(name, str(value))
-    section = page.section("How it was made").add(table)
+    section = page.section("How it was made").note(table)
     if config:
         section.code(config, words)
     return page

@@ -8,15 +8,12 @@ import numpy as np
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.study_figures import comparison_figure
 from hybrid_id.reporting.style import pixels
 from hybrid_id.reporting.tables import (
     comparison_table,
     count,
-    findings_list,
-    model_means_table,
-    records_table,
 )
 from hybrid_id.study import Comparison
 
@@ -39,14 +36,11 @@ def replay_page(
         f"{labels[0]} on {dataset.name}" if len(labels) == 1 else f"{len(labels)} models on {dataset.name}"
     )
     page = Page(title, _lead(comparison))
-    page.section("Errors").add(model_means_table(comparison), _HOW)
-    page.section("Record by record").add(comparison_table(comparison))
+    page.section("Errors").add(comparison_table(comparison), _HOW)
     pictures = page.section("Measured and simulated")
     for name, figure in figures.items():
         pictures.figure(figure, f"Record {name}.")
-    records = page.section("Records").add(records_table(dataset))
-    if findings:
-        records.add(findings_list(findings))
+    records_section(page, dataset, findings)
     return page
 
 

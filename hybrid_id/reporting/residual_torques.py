@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from rich.console import Group, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis_words import joined, percent
 from hybrid_id.reporting.hybrid import map_figure
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import pixels
-from hybrid_id.reporting.tables import count, records_table, table
+from hybrid_id.reporting.tables import count, table
 from hybrid_id.study.residual_torques import ArmHybrid
 
 _HOW = (
@@ -113,12 +111,6 @@ def joints_table(found: ArmHybrid) -> Table:
     return table(heads, rows)
 
 
-def residuals_table(found: ArmHybrid) -> RenderableType:
-    """What the terminal shows."""
-    skipped = [Text(f"not taken: {name} ({why}).") for name, why in found.skipped.items()]
-    return Group(Text(lead(found), style="bold"), joints_table(found), *skipped)
-
-
 def residuals_pictures(found: ArmHybrid) -> dict[str, np.ndarray]:
     """Figures by the name of their file."""
     maps = {name: one.map for name, one in found.joints.items() if one.map is not None}
@@ -132,7 +124,7 @@ def residuals_pictures(found: ArmHybrid) -> dict[str, np.ndarray]:
 def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, np.ndarray]) -> Page:
     """The page of networks joint by joint."""
     page = Page(f"Physics and networks on {dataset.name}", lead(found))
-    joints = page.section("Joints").add(joints_table(found), _HOW)
+    joints = page.section("Joints").add(joints_table(found)).note(_HOW)
     joints.add(*(f"not taken: {name} ({why})." for name, why in found.skipped.items()))
     if pictures:
         maps = page.section("Networks")
@@ -140,5 +132,5 @@ def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, np
             maps.figure(
                 picture, "Torque that opposes the drive, over angle and speed; dots: where the records are."
             )
-    page.section("Records").add(records_table(dataset))
+    records_section(page, dataset)
     return page

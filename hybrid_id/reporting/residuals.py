@@ -1,4 +1,4 @@
-"""Residual tests in words and numbers: one sentence an output, and the table it rests on."""
+"""Residual tests in words and numbers: one sentence an output."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from hybrid_id.records.dataset import Channel
-from hybrid_id.reporting.tables import count, open_table
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.reporting.tables import capital, count
 from hybrid_id.reporting.units import title
 from hybrid_id.statistics.residuals import LEVEL, ResidualTest
 
@@ -29,10 +29,7 @@ _COLOURS = {"white": "green", "nearly white": "green", "not white": "yellow", "d
 _HOW = (
     "Residuals of free runs, measured minus simulated. Those of a right model are noise: no sample predicts the next "
     f"one, no input what comes after it. White says that both tests pass at {100 * LEVEL:.0f} %; nearly white, that "
-    "neighbours correlate surely, but by no more than 0.1 (1 is a smooth curve). The table gives the RMS over the "
-    "noise that was declared (estimated where none was), the share of lags at which the autocorrelation leaves the "
-    "99 % band of white noise (1 % do by chance), the correlation of neighbours, and the strongest correlation with an "
-    "input before it, with what chance reaches."
+    "neighbours correlate surely, but by no more than 0.1 (1 is a smooth curve). All numbers are in the results' JSON."
 )
 _DIFFER = (
     "The residuals of the records that it was fitted to are noise, those of the test records are not: parameters that "
@@ -46,41 +43,30 @@ def sound(tests: Sequence[ResidualTest]) -> bool:
 
 
 def residual_blocks(
-    residuals: Residuals, where: str = "", channels: Sequence[Channel] = ()
+    residuals: Residuals, dataset: Dataset | None = None, channels: Sequence[Channel] = ()
 ) -> list[RenderableType]:
-    """What is said of residuals: a sentence each, the table, and how to read it.
+    """What is said of residuals: a sentence each, and how to read it.
 
     Args:
         residuals: the tests.
-        where: records that were simulated, where the names of the tests do not say it.
+        dataset: whose test records, or else train records, were simulated, where the names of the tests do not say it.
         channels: outputs and inputs, which may know the names of their joints.
     """
-    pairs = [(LABELS.get(name, name), one) for name, tests in residuals.items() for one in tests]
-    words: list[RenderableType] = [Text(f"On {where}:")] if where else []
+    words: list[RenderableType] = []
+    if dataset is not None:
+        role = "test" if dataset.test else "train"
+        words.append(Text(f"On {count(len(dataset.test or dataset.train), f'{role} record')}:"))
     words += [
         Text(
-            f"{label[0].upper()}{label[1:]}, {title(one.output, channels)}: {sentence(one, channels)}",
-            style=_COLOURS[one.verdict],
+            f"{capital(LABELS.get(name, name))}, {title(test.output, channels)}: {sentence(test, channels)}",
+            style=_COLOURS[test.verdict],
         )
-        for label, one in pairs
+        for name, tests in residuals.items()
+        for test in tests
     ]
     if "test" in residuals and sound(residuals["train"]) and not sound(residuals["test"]):
         words.append(_DIFFER)
-    table = open_table(
-        "", "output", "RMS / noise>", "lags outside>", "neighbours>", "strongest input", "correlation>", "by chance>",
-        "verdict",
-    )  # fmt: skip
-    for label, one in pairs:
-        correlated = ["none moves", "", ""]
-        if one.follows:
-            first = one.follows[0]
-            at_lag = f"{first.correlation:.2f} ({count(first.lag, 'sample')})"
-            correlated = [title(first.input, channels), at_lag, f"± {first.band:.2f}"]
-        outside = f"{100 * one.outside:.0f} % of {one.lags}" if np.isfinite(one.outside) else ""
-        shared = f"{one.shared:.2f}" if np.isfinite(one.shared) else ""
-        size = f"{one.rms:.3g}" if np.isfinite(one.rms) else "none"
-        table.add_row(label, title(one.output, channels), size, outside, shared, *correlated, one.verdict)
-    return [*words, table, _HOW]
+    return [*words, _HOW]
 
 
 def sentence(test: ResidualTest, channels: Sequence[Channel] = ()) -> str:

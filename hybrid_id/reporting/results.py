@@ -284,18 +284,9 @@ def write_comparison(path: Path, comparison: Comparison) -> None:
     """One row for each model, record and output: fit, normalised RMSE, and RMSE in SI."""
     heads = ("model", "record", "role", "output", "fit_percent", "nrmse", "rmse", "status")
     rows = (
-        (
-            label,
-            r.record.name,
-            r.record.role,
-            signal,
-            f"{r.fit[signal]:.6g}",
-            f"{r.nrmse[signal]:.6g}",
-            f"{r.rmse[signal]:.6g}",
-            r.status,
-        )
-        for label, replays in comparison.replays.items()
-        for r in replays
+        (label, record, r["role"], signal, *(f"{r[name][signal]:.6g}" for name in heads[4:7]), r["status"])
+        for label, records in comparison_result(comparison).items()
+        for record, r in records.items()
         for signal in comparison.signals
     )
     write_rows(path, heads, rows)

@@ -12,14 +12,12 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.residuals import Residuals, residual_blocks, sound
 from hybrid_id.reporting.tables import (
     count,
-    findings_list,
     identifiability_table,
     interval_words,
-    records_table,
     table,
     two_a_row,
 )
@@ -198,9 +196,7 @@ def study_page(
             page.section("Every set on every record").figure(figure, _CAPTIONS[name])
         else:
             fits.figure(figure, f"Record {name.removeprefix('fit_')}.")
-    records = page.section("Records").add(records_table(dataset))
-    if findings:
-        records.add(findings_list(findings))
+    records_section(page, dataset, findings)
     return page
 
 

@@ -34,7 +34,6 @@ from hybrid_id.statistics.residuals import LEVEL
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.study.excitation import ArmExcitation
-from hybrid_id.study.result import against_truth
 
 MAX_TITLE = 50
 """Characters of a title that leave room for the legend."""
@@ -82,33 +81,21 @@ def parameter_figure(study: Study) -> Figure:
         if spec.prior_std is not None and spec.prior_mean is not None:
             low, high = ((spec.prior_mean + side * spec.prior_std) / 10.0**exponent for side in (-1, 1))
             axes.axhspan(low, high, color=COLOURS[5], alpha=0.18, lw=0, label="prior ± 1 std")
-        axes.plot(
-            [],
-            [],
-            "o",
-            ms=3.5,
-            color=COLOURS[0],
-            label="one set a record" if not study.pooled else "pooled set",
-        )
-        axes.plot([], [], "o", ms=4.5, color=COLOURS[1], label="selected")
-        for i in x:
-            colour, size = (COLOURS[1], 4.5) if i == study.selection.index else (COLOURS[0], 3.5)
-            known = bool(np.isfinite(sides[i]).all())
-            bar = sides[i][:, None] if known else None
-            axes.errorbar(
-                x[i], values[i], yerr=bar, fmt="o", ms=size, mfc=colour if known else "white", mec=colour,
-                ecolor=colour, elinewidth=0.9, capsize=1.8, capthick=0.9,
-            )  # fmt: skip
+        known, chosen = np.isfinite(sides).all(1), x == study.selection.index
+        sets = "pooled set" if study.pooled else "one set a record"
+        for words, group, colour, size in (
+            (sets, ~chosen, COLOURS[0], 3.5),
+            ("selected", chosen, COLOURS[1], 4.5),
+        ):
+            axes.plot([], [], "o", ms=size, color=colour, label=words)
+            axes.plot(x[group], values[group], "o", ms=size, mfc="white", color=colour)
+            bars = {"elinewidth": 0.9, "capsize": 1.8, "capthick": 0.9, "color": colour}
+            at = group & known
+            axes.errorbar(x[at], values[at], yerr=sides[at].T, fmt="o", ms=size, **bars)
         title = symbol(study.names[k])
         if study.variation is not None:
-            axes.axhline(
-                study.variation.mean[k] / 10.0**exponent,
-                color=GREY,
-                lw=0.8,
-                ls=(0, (4, 2)),
-                zorder=0,
-                label="mean",
-            )
+            mean = study.variation.mean[k] / 10.0**exponent
+            axes.axhline(mean, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=0, label="mean")
             percent = study.variation.percent[k]
             title += f",  std/mean {'< 0.01' if percent < 0.01 else f'{percent:.3g}'} %"
         axes.set_title(title, loc="left")
@@ -219,55 +206,11 @@ def residual_figure(study: Study, sample_time: float) -> Figure:
     return figure
 
 
-@journal()
-def truth_figure(study: Study, truth: Mapping[str, float]) -> Figure:
-    """Selected set against known values: relative error of each parameter with its interval."""
-    rows = against_truth(study, truth)
-    errors = [100 * one.relative_error for one in rows]
-    sides = [tuple(100 * abs(end - one.estimate) / abs(one.truth) for end in one.interval) for one in rows]
-    finite = [max(pair) for pair in sides if np.all(np.isfinite(pair))]
-    far = 4.0 * float(np.median(finite)) if finite else np.inf  # one wide interval must not hide all others
-    figure = new_figure(0.21 * len(rows) + 0.8, 4.5)
-    axes = figure.subplots()
-    axes.axvline(0.0, color="black", lw=0.6)
-    for row, (error, pair) in enumerate(zip(errors, sides, strict=True)):
-        known = bool(np.all(np.isfinite(pair)))
-        if far <= max(pair) < np.inf:
-            axes.annotate(f"± {max(pair):.0f} %", (1.0, row), (3, 0), xycoords=("axes fraction", "data"),
-                          textcoords="offset points", va="center", fontsize=7, annotation_clip=False)  # fmt: skip
-        axes.errorbar(
-            error, row, xerr=np.array(pair)[:, None] if known else None, fmt="o", ms=4,
-            mfc=COLOURS[1] if known else "white", mec=COLOURS[1], ecolor=COLOURS[0], elinewidth=1.2, capsize=2,
-        )  # fmt: skip
-    axes.set_yticks(range(len(rows)), [symbol(one.name) for one in rows])
-    reaches = (
-        abs(e) + (max(pair) if max(pair) < far else 0.0) for e, pair in zip(errors, sides, strict=True)
-    )
-    limit = 1.15 * max(reaches, default=1.0)
-    axes.set_xlim(-limit, limit)
-    for row, (error, pair) in enumerate(zip(errors, sides, strict=True)):
-        for side, reach, arrow in (
-            (-1, pair[0], "<"),
-            (1, pair[1], ">"),
-        ):  # where an interval leaves the panel
-            if limit < side * error + reach < np.inf:
-                axes.plot(0.985 * side * limit, row, arrow, ms=5, color=COLOURS[0])
-    axes.invert_yaxis()
-    axes.set_xlabel("estimate − truth [% of the truth], with its interval")
-    return figure
-
-
 def _percent(value: float) -> str:
     """A fit as it fits into a cell; how bad a bad one is does not matter."""
-    return (
-        f"{value:.1f}"
-        if 0 <= value < 1000
-        else f"{value:.0f}"
-        if -100 < value < 0
-        else "<−99"
-        if value < 0
-        else ">999"
-    )
+    if not -100 < value < 1000:
+        return "<−99" if value < 0 else ">999"
+    return f"{value:.1f}" if value >= 0 else f"{value:.0f}"
 
 
 COLUMNS, TOP = 3, 2.5

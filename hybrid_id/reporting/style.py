@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -68,6 +68,19 @@ def journal() -> Iterator[None]:
 def new_figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure (sizes in inches) outside of pyplot, so that none piles up in memory."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def rows_of_panels(
+    names: Sequence[str], panels: int = 1, *, height: float = 0.27, width: float = WIDTH, **layout: Any
+) -> tuple[Figure, list[Axes]]:
+    """A figure whose panels share rows, the first on top, each row with its name at the left."""
+    figure = new_figure(height * len(names) + 0.9, width)
+    grid = list(np.ravel(figure.subplots(1, panels, sharey=True, **layout)))
+    grid[0].set_yticks(range(len(names)), names)
+    grid[0].set_ylim(len(names) - 0.5, -0.5)
+    for axes in grid:
+        axes.tick_params(axis="y", length=0)  # beside a bar of no length a tick reads as a minus
+    return figure, grid
 
 
 def symbol(name: str) -> str:

@@ -168,20 +168,6 @@ def comparison_table(comparison: Comparison) -> Table:
     return found
 
 
-def model_means_table(comparison: Comparison) -> Table:
-    """Errors of every model in every output, means of the records; the RMSE is in the unit that was logged."""
-    units = {channel.name: (channel.title, *channel.shown) for channel in comparison.outputs}
-    found = {measure: comparison.table(measure) for measure in ("nrmse", "fit", "rmse")}
-    rows = []
-    for column, signal in enumerate(comparison.signals):
-        title, unit, factor = units.get(signal, (signal, "", 1.0))
-        for label in comparison.replays:
-            error, fit, plain = (values[label][:, column] for values in found.values())
-            cells = (_mean(error, ".4f"), _mean(fit, ".2f"), _mean(factor * plain, ".3g"))
-            rows.append((title, label, *cells, unit))
-    return table(("output", "model", "NRMSE>", "fit [%]>", "RMSE>", "unit"), rows)
-
-
 def truth_table(study: Study, truth: Mapping[str, float]) -> Table:
     """Known values beside the estimates of the selected set."""
     from hybrid_id.study.result import against_truth
@@ -210,6 +196,11 @@ def interval_words(low: float, high: float) -> str:
 def count(number: int, noun: str) -> str:
     """A number with its noun, ``1 record``, ``2 records``."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def capital(words: str) -> str:
+    """A sentence's start."""
+    return words[:1].upper() + words[1:]
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str | Text]]) -> Table:

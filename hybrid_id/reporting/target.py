@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from rich.console import RenderableType
 from rich.table import Table
 
 from hybrid_id.export.replay import Agreement, summarise
@@ -86,19 +85,6 @@ def replays_table(rows: Sequence[Agreement], outputs: Sequence[Channel]) -> Tabl
     return table(heads, cells)
 
 
-def on_screen(errors: TargetErrors) -> list[RenderableType]:
-    """The replays of the exported model, then the errors of all models."""
-    rows = errors.exported.rows
-    return [
-        "NRMSE, over the same records:",
-        replays_table(rows, errors.outputs),
-        f"MuJoCo replays these records within {summarise(rows).worst:.2g} of ours (NRMSE)",
-        f"NRMSE, mean over {judged_on(errors)}:",
-        errors_table(errors),
-        *error_lines(errors)[1:],
-    ]
-
-
 def target_result(errors: TargetErrors) -> dict[str, Any]:
     """The errors in MuJoCo as plain data."""
     return {
@@ -124,12 +110,17 @@ def target_page(errors: TargetErrors, name: str) -> Page:
     """The page beside an exported file of a name: the errors of the models in MuJoCo."""
     summary, *lines = error_lines(errors)
     page = Page(f"{name}: the {errors.label} model in MuJoCo", summary)
+    replays = errors.exported.rows
+    page.section("Replays of the exported model").add(
+        "NRMSE, over the same records:",
+        replays_table(replays, errors.outputs),
+        f"MuJoCo replays these records within {summarise(replays).worst:.2g} of ours (NRMSE).",
+    )
     page.section("Errors in MuJoCo").add(
         f"NRMSE, mean over {judged_on(errors)}; 'here' is the package's own replay.",
         errors_table(errors),
         *lines,
     )
     notes = errors.exported.exported.notes or ("nothing",)
-    page.section("Left out").add(*(f"{note}." for note in notes))
-    page.section("Replays of the exported model").add(replays_table(errors.exported.rows, errors.outputs))
+    page.section("Left out").note(*(f"{note}." for note in notes))
     return how_made(page, "export")

@@ -24,7 +24,7 @@ from hybrid_id.diagnosis.next_experiment import next_experiment
 
 FILES = {
     ".written",
-    "candidates.png", "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
+    "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
     "refit.yaml", "report.html", "reversals.png", "shares.png", "tensorboard", "torque_map.png", "worst_record.png",
 }  # fmt: skip
 PLAIN = {".written", "config.yaml", "diagnosis.json", "model.yaml", "refit.yaml"}
@@ -96,7 +96,7 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
     verdicts = {name: tests[0]["verdict"] for name, tests in result["residual_tests"].items()}
     assert verdicts["re-fitted"] == "not white" and verdicts["corrected"] in ("white", "nearly white")
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
-    look_at(out / "report.html", tmp_path, figures=8)
+    look_at(out / "report.html", tmp_path, figures=7)
 
 
 def test_the_next_experiment_is_ready_to_be_played(

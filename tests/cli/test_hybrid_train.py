@@ -93,7 +93,7 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
         ).code
         == 0
     )
-    look_at(out / "report.html", tmp_path, figures=2)
+    look_at(out / "report.html", tmp_path, figures=1)
 
 
 def test_identify_says_who_uses_the_section(run, study: Path, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import text_of
 from gapcase import only
-from rich.console import Console
 from servo_arm import NOISE, described, records_of
 
 from hybrid_id import Dataset, diagnose, diagnose_arm
@@ -28,7 +28,7 @@ from hybrid_id.diagnosis.scales import scales
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
 from hybrid_id.records.skew import Skew
-from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
+from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_page
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import (
     STANDS,
@@ -131,10 +131,7 @@ def test_joints_of_a_coupled_gear_are_diagnosed_as_one_part(nominal: System, tmp
     assert said["parameters"]["k_s"][0] == pytest.approx(0.8, rel=0.05)
     errors = found.model_errors
     assert errors is not None and set(errors.rmse) == {"q_m1", "q_m2", "q_m3"}
-    console = Console(width=200)
-    with console.capture() as shown:
-        console.print(arm_table(found))
-    assert re.search(r"lift \+ elbow +spring", shown.get())
+    assert re.search(r"lift \+ elbow +spring", text_of(arm_page(found, {}, {}).screen()))
 
 
 @pytest.mark.usefixtures("few")
@@ -158,10 +155,9 @@ def test_a_joint_that_stands_still_is_held_where_it_was_measured(nominal: System
     found = diagnose_arm(still, nominal, joints=["pan"], max_effects=1)
     assert found.skipped == {"lift": STANDS, "elbow": NOT_ASKED}
     assert set(found.as_dict()["gap"]["by_output"]) == {"q_m1", "q_m3"}
-    console = Console(width=200)
-    with console.capture() as shown:
-        console.print(arm_table(found))
-    assert re.search("lift +not diagnosed: stands still in all train records", shown.get())
+    assert re.search(
+        "lift +not diagnosed: stands still in all train records", text_of(arm_page(found, {}, {}).screen())
+    )
     assert len(found.model.joints) == 3
 
 

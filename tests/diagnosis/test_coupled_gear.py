@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import text_of
 from gapcase import only
-from rich.console import Console
 from servo_arm import described, of_joint, simulated, tones
 from servo_arm import records_of as answered
 
@@ -17,7 +17,7 @@ from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.coupled_gear import CoupledGear, coupled_gears, with_gears
 from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.identification.horizons import WHOLE
-from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table, part_words
+from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_page, part_words
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
 
@@ -78,10 +78,8 @@ def test_a_gear_that_the_model_lacks_is_found_with_its_turns(nominal: System, tm
     said = json.loads(json.dumps(found.as_dict()))
     assert said["coupled_gears"][0]["motor"] == "roll" and not said["no_gap"]
     assert "The motor of roll turns with bend, too: " in arm_headline(found)
-    console = Console(width=200)
-    with console.capture() as shown:
-        console.print(arm_table(found))
-    assert "bend + roll" in shown.get() and "a coupled gear" in shown.get() and "corrected" in shown.get()
+    shown = text_of(arm_page(found, {}, {}).screen())
+    assert "bend + roll" in shown and "a coupled gear" in shown and "corrected" in shown
     assert "here the nominal model has it" in part_words(found, "bend + roll").lower()
     assert part_words(found, "yaw") == ""
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import text_of
 
 import hybrid_id.diagnosis.fits as search_fits
 import hybrid_id.diagnosis.select as selection
@@ -15,7 +16,7 @@ from hybrid_id.diagnosis.fits import FULL, Fits, Task
 from hybrid_id.diagnosis.model import Tally
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
-from hybrid_id.reporting.diagnosis import summary
+from hybrid_id.reporting.diagnosis import diagnosis_table
 from hybrid_id.reporting.diagnosis_words import failed_lines
 
 HALF = Horizon("windows", 0.5)
@@ -123,5 +124,5 @@ def test_fits_that_raise_are_counted_and_told(diagnosed, tmp_path: Path, monkeyp
     assert found.as_dict()["fits"] == said
     (line,) = failed_lines(found)
     assert line.startswith("3 of 4 fits of candidates failed: ") and "the solver has lost its way" in line
-    assert "and 1 more kinds" in line and line in summary(found).replace("\n", " ")
+    assert "and 1 more kinds" in line and line in text_of(diagnosis_table(found), 2000)
     assert not failed_lines(replace(whole, tally=Tally(158)))

@@ -88,11 +88,11 @@ def test_the_paper_in_short(tmp_path: Path) -> None:
     page = (out / "report.html").read_text(encoding="utf-8")
     assert all(f"Table {number}:" in page for number in range(1, 13))
     assert all(f"Fig. {number}." in page for number in (3, 4, 5, 8, 9, 13, 14))
-    assert page.count("data:image/png") == 8
+    assert page.count("data:image/png") == 7
     found = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert found["quick"] and found["claims"] == [vars(claim) for claim in quick.claims]
     assert "all tables and figures" in ended.stdout
-    look_at(out / "report.html", tmp_path, figures=8)
+    look_at(out / "report.html", tmp_path, figures=7)
 
 
 def _stop(words: str) -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import text_of
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from hybrid_id.diagnosis.locate import Disturbance, Location
@@ -14,7 +15,6 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis import (
     diagnosis_page,
     diagnosis_table,
-    summary,
 )
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.reporting.diagnosis_words import (
@@ -102,7 +102,7 @@ WORDS = {
 
 @pytest.mark.parametrize("verdict", WORDS)
 def test_summary_begins_with_what_is_known_and_is_short(verdict: str, diagnosed, sound) -> None:
-    lines = summary(variants(diagnosed[2], sound[2])[verdict]).splitlines()
+    lines = text_of(diagnosis_table(variants(diagnosed[2], sound[2])[verdict]), 120).splitlines()
     assert " ".join(lines).startswith(WORDS[verdict])
     assert len(lines) <= 25
     assert max(map(len, lines)) <= 120
@@ -129,7 +129,7 @@ def test_without_test_records_no_error_is_claimed(diagnosed, sound) -> None:
         replace(sound[2], verdict="no_gap"),
         replace(sound[2], verdict="parameters_only"),
     ):
-        assert "NRMSE" not in summary(replace(one, **blind))
+        assert "NRMSE" not in text_of(diagnosis_table(replace(one, **blind)))
     assert "gap" not in diagnosis_figures(replace(diagnosed[2], **blind))
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import text_of
 from drives import make_records, multisine, only, rigid_drive
-from rich.console import Console
 
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.reporting.results import as_json, study_result, write_parameters
@@ -57,13 +57,6 @@ def study(dataset: Dataset) -> Study:
 @pytest.fixture(scope="module")
 def pooled(dataset: Dataset) -> Study:
     return identify(dataset, rigid_drive(), pooled=True)
-
-
-def text_of(part: object) -> str:
-    console = Console(width=200, no_color=True)
-    with console.capture() as capture:
-        console.print(part)
-    return capture.get()
 
 
 def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Study, study: Study) -> None:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import text_of
 from drives import make_records, multisine, rigid_drive
-from rich.console import Console
 
 from hybrid_id import Channel, Dataset, one_link
 from hybrid_id.reporting.study import study_table
@@ -18,10 +18,7 @@ CURRENT = Channel("i1", "A", logged="mA")
 
 
 def screen(study: Study) -> str:
-    console = Console(width=160, no_color=True)
-    with console.capture() as captured:
-        console.print(study_table(study))
-    return captured.get()
+    return text_of(study_table(study), 160)
 
 
 @pytest.mark.parametrize(
