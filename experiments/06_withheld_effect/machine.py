@@ -44,7 +44,7 @@ def make(config: Mapping[str, Any], kind: str, seed: int) -> Machine:
     model = known.with_values(config["start"]).with_component(how["place"], network)
     records = tuple(_record(config, truth, entry, seed, k) for k in range(entry["records"]))
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", entry["noise"]),)
-    dataset = Dataset(f"{kind} {seed}", *channels, records, config["sample_time"])
+    dataset = Dataset(f"{kind} {seed}", *channels, records, config["sample_time"], signal_share=0.0)
     return Machine(truth, known, model, dataset, entry["noise"])
 
 

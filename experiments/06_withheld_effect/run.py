@@ -29,12 +29,10 @@ options = HybridOptions(**wish)
 engine = OdeEngine(fine=8, width=config["width"])
 
 
-study = hybridise(machine.dataset, machine.model, engine=engine, options=options, signal_share=0.0)
+study = hybridise(machine.dataset, machine.model, engine=engine, options=options)
 print(*outcome(machine, study), *spread(machine, study), sep="\n", flush=True)
 print(*(f"! {warning}" for warning in study.warnings), sep="\n", flush=True)
 if kind in config["unpriced"]:
     free = replace(options, price=0.0)
-    result: HybridResult = hybridise(
-        machine.dataset, machine.model, engine=engine, options=free, signal_share=0.0
-    ).result
+    result: HybridResult = hybridise(machine.dataset, machine.model, engine=engine, options=free).result
     print("  without any price:", off_truth(machine, result.models[-1]))

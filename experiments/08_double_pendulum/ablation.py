@@ -56,11 +56,11 @@ def main(folder: Path, design: str) -> None:
         for kind, unit in (("q_m", "rad"), ("v_m", "rad/s"))
     )
     inputs = tuple(Channel(f"tau{k}", "N m") for k in (1, 2))
-    dataset = Dataset(f"dfki_{design}", inputs, outputs, tuple(parts))
+    dataset = Dataset(f"dfki_{design}", inputs, outputs, tuple(parts), signal_share=0.0)
     wish = config["training"] | {"windows": tuple(config["training"]["windows"])}
     task = Task(
         dataset, system, OdeEngine(fine=4, width=config["width"]), HybridOptions(**wish), INPUTS,
-        horizon=config["window"] / 2, signal_share=0.0,
+        horizon=config["window"] / 2,
     )  # fmt: skip
     hybrid = Arm(STATIC, JOINTS, 6)
     arms = [

@@ -148,7 +148,7 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
         )
     task = Task(
         dataset, system, ode_engine(config), hybrid_options(config, how), tuple(network.inputs), wish.memory,
-        network.lipschitz, wish.horizon, config.preprocessing.signal_share,
+        network.lipschitz, wish.horizon,
     )  # fmt: skip
     with config.at("ablation.out_of_range"):
         records_beyond(dataset, wish.out_of_range)

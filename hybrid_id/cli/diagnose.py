@@ -170,7 +170,6 @@ def run(
         "jobs": config.gap.jobs or (1 if long else min(cpu_count(), MOST_JOBS)),
         "seed": config.identification.seed,
         "level": config.statistics.level,
-        "signal_share": config.preprocessing.signal_share,
         "kept": kept,
     }
     if not by_joint:

@@ -177,7 +177,7 @@ def run(
 
             found = profiles(
                 dataset, study, config.statistics.profile, options=settings["options"],
-                signal_share=settings["signal_share"], progress=say,
+                progress=say,
             )  # fmt: skip
             study = replace(study, profiles=found)
         return study, progress

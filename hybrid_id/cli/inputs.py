@@ -30,6 +30,7 @@ def load_records(path: Path, config: StudyConfig | None = None) -> "Dataset":
     if config is None:
         return dataset
     wish = config.preprocessing
+    dataset = replace(dataset, signal_share=wish.signal_share)
     if wish.records is not None:
         with config.at("preprocessing.records"):
             dataset = dataset.select(wish.records)

@@ -118,7 +118,7 @@ def write_study(
     from hybrid_id.study import replay
     from hybrid_id.study.checks import study_residuals
 
-    residuals = study_residuals(dataset, study, signal_share=config.preprocessing.signal_share)
+    residuals = study_residuals(dataset, study)
     content: dict[str, Any] = study_result(study)
     text = as_json(
         command, {"dataset": dataset.name} | content | {"residual_tests": residual_result(residuals)}

@@ -195,8 +195,7 @@ def by_joint(
 
             found = learn_residuals(
                 dataset, system, [] if "all" in joints else joints,
-                horizon=Horizon.of(config.identification.window),
-                signal_share=config.preprocessing.signal_share, say=say,
+                horizon=Horizon.of(config.identification.window), say=say,
             )  # fmt: skip
         save_model(found.system, folder / "model.yaml", home)
         save_model(found.physics, folder / "physics.yaml", home)
@@ -238,7 +237,7 @@ def _physics(
     from hybrid_id.study import analyse_fits
     from hybrid_id.study.training import train as train_all
 
-    wish, share, saved = config.identification, config.preprocessing.signal_share, home / CHECKPOINT
+    wish, saved = config.identification, home / CHECKPOINT
     n_sets = 1 if wish.pooled else len(dataset.train)
     with (
         TrainingLog(home / EVENTS) if config.output.tensorboard else nullcontext() as log,
@@ -246,7 +245,7 @@ def _physics(
     ):
         sets = train_all(
             dataset, system, pooled=wish.pooled, engine=ode_engine(config), options=train_options(config),
-            device=wish.device, signal_share=share, writer=log, checkpoint=saved, resume=saved if resume else None,
+            device=wish.device, writer=log, checkpoint=saved, resume=saved if resume else None,
             progress=progress,
         )  # fmt: skip
     interrupted = any(result.status == "interrupted" for result in sets)
@@ -257,7 +256,6 @@ def _physics(
         sets,
         pooled=wish.pooled,
         seed=wish.seed,
-        signal_share=share,
         level=config.statistics.level,
     )
     with added_results(home) as folder:
@@ -283,8 +281,7 @@ def _hybrid(
     from hybrid_id.study.hybrid import hybrid_residuals, hybridise, physics_alone
     from hybrid_id.systems.model_file import save_model
 
-    share, wish = config.preprocessing.signal_share, config.hybrid or Hybrid()
-    err, saved = console(stderr=True), home / CHECKPOINT
+    wish, err, saved = config.hybrid or Hybrid(), console(stderr=True), home / CHECKPOINT
     with (
         TrainingLog(home / EVENTS) if config.output.tensorboard else nullcontext() as log,
         err.status("physics alone") if err.is_terminal else nullcontext() as line,
@@ -299,17 +296,17 @@ def _hybrid(
 
         study = hybridise(
             dataset, system, engine=ode_engine(config), options=hybrid_options(config, wish),
-            validation=wish.validation, device=config.identification.device, signal_share=share,
+            validation=wish.validation, device=config.identification.device,
             level=config.statistics.level, writer=log, checkpoint=saved, resume=saved if resume else None,
             progress=progress,
         )  # fmt: skip
     leave_without_checkpoint(home, interrupted=study.result.interrupted)
-    residuals = hybrid_residuals(dataset, study, signal_share=share)
+    residuals = hybrid_residuals(dataset, study)
     content = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
     text = to_json("train", {"dataset": dataset.name} | content)
 
     def page(pictures: "dict[str, np.ndarray]") -> "Page":
-        alone = physics_alone(dataset, study, signal_share=share)
+        alone = physics_alone(dataset, study)
         return hybrid_page(dataset, study, pictures, alone=alone, residuals=residuals)
 
     with added_results(home) as folder:

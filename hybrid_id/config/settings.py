@@ -25,7 +25,6 @@ def fit_settings(config: StudyConfig) -> dict[str, Any]:
         "starts": wish.starts,
         "seed": wish.seed,
         "device": wish.device,
-        "signal_share": config.preprocessing.signal_share,
         "level": config.statistics.level,
         "horizon": Horizon.of(wish.window),
         "engine": Engine(wish.friction, wish.substeps, wish.width),

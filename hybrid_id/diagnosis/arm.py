@@ -41,7 +41,6 @@ from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.skew import Skew, find_skews
 from hybrid_id.records.units import number_of
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import (
@@ -285,7 +284,6 @@ def diagnose_arm(
     jobs: int = 1,
     seed: int = 0,
     level: float = 0.95,
-    signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> ArmDiagnosis:
@@ -300,7 +298,6 @@ def diagnose_arm(
         jobs: processes.
         seed: of the resampling.
         level: confidence of the parameters' intervals.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         kept: fits that an earlier run has kept, and where those of this one are kept.
         progress: called with (stage, done, total); a stage begins with its joint's name.
 
@@ -349,7 +346,7 @@ def diagnose_arm(
                 found[name] = answered(
                     with_others_measured(moving_records(dataset, *parts[name]), system, *parts[name]),
                     some(system, parts[name]), horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed,
-                    signal_share=signal_share, kept=kept, progress=say,
+                    kept=kept, progress=say,
                 )  # fmt: skip
             except InputError as error:  # one joint's records or values must not cost the others theirs
                 if len(names) == 1:
@@ -367,8 +364,8 @@ def diagnose_arm(
     first, stopped = searched(system, names, skipped)
     _raise_without_any(first, skipped)
     answers = {name: answer for name, (_, answer) in first.items()}
-    common = horizon or common_horizon(answers, signal_share)
-    robot = WholeRobot(dataset, system, answers, common, signal_share, seed, progress)
+    common = horizon or common_horizon(answers)
+    robot = WholeRobot(dataset, system, answers, common, seed, progress)
     found, gears = first, tuple[CoupledGear, ...]()
     if not stopped:  # who stops waits for no more fits
         try:
@@ -465,7 +462,7 @@ def _of_whole_robot(
         skews: channels that are recorded late against others.
         stopped: whether no more is fitted.
     """
-    dataset, horizon, signal_share = robot.dataset, robot.horizon, robot.signal_share
+    dataset, horizon = robot.dataset, robot.horizon
     refit, model, apart = nominal, robot.nominal, joint_parts(nominal)
     for one in without.values():
         refit = with_drive(refit, one)
@@ -481,14 +478,11 @@ def _of_whole_robot(
         refit, model = some(refit, now.seats), some(model, now.seats)
     whole, lacking = None, bool(gears) or any(one.search.chosen.effects for one in found.values())
     if not stopped:  # who stops waits for no more fits
-        refit, whole = fitted_coupled(moving, refit, horizon, signal_share, robot.kept)
-        model, whole = (
-            fitted_coupled(moving, model, horizon, signal_share, robot.kept) if lacking else (refit, whole)
-        )
+        refit, whole = fitted_coupled(moving, refit, horizon, robot.kept)
+        model, whole = fitted_coupled(moving, model, horizon, robot.kept) if lacking else (refit, whole)
     gap, contradiction = None, ""
     nominal_errors, before, after = (
-        errors(moving, one, engine(), horizon=horizon, signal_share=signal_share)
-        for one in (now, refit, model)
+        errors(moving, one, engine(), horizon=horizon) for one in (now, refit, model)
     )
     if now.seats is not None:
         refit, model = together(refit), together(model)
@@ -497,7 +491,7 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=robot.seed)
         contradiction = unconfirmed(gap, "robot") if lacking else ""
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
-    parts, bounds = parts_of_gap(each, horizon, signal_share)
+    parts, bounds = parts_of_gap(each, horizon)
     # parameters of the fit with their autocorrelation-robust standard errors, by name; empty without one
     known = dict[str, tuple[float, float]]()
     if whole is not None:
@@ -513,7 +507,6 @@ def fitted_coupled(
     dataset: Dataset,
     system: System,
     horizon: Horizon = WHOLE,
-    signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
 ) -> tuple[System, FitResult | None]:
     """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
@@ -524,7 +517,6 @@ def fitted_coupled(
         dataset: of the whole robot.
         system: the robot, from whose values the fit starts.
         horizon: how long its free runs are.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         kept: fits that an earlier run has kept, and where this one is kept.
 
     Returns:
@@ -532,13 +524,10 @@ def fitted_coupled(
     """
     records = [record for record in dataset.records if record.role != "test"]
     with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
-        batch = horizon.cut(system, engine(), batch_of(dataset, system, records, signal_share, "cpu"))
+        batch = horizon.cut(system, engine(), batch_of(dataset, system, records, "cpu"))
         options = Options(max_iterations=COUPLED)
         again = kept_fit(kept, system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
-        both = [
-            errors(dataset, s, engine(), records, horizon=horizon, signal_share=signal_share)
-            for s in (system, again.system)
-        ]
+        both = [errors(dataset, s, engine(), records, horizon=horizon) for s in (system, again.system)]
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None

@@ -145,7 +145,7 @@ def _judged(
 ) -> Judged | None:
     """What the witnesses say together; None where the effect is not accepted, or no more probable than others."""
     jobs = next(iter(robot.answers.values())).fits.jobs
-    fits = Fits(robot.records, jobs=jobs, signal_share=robot.signal_share, kept=robot.kept)
+    fits = Fits(robot.records, jobs=jobs, kept=robot.kept)
     fits = fits.over(robot.horizon)
     plain = _to_the_end(fits, [_task(robot, rests)])
     own = _each_with(rests, each, {name: witness.model for name, witness in each.items()})

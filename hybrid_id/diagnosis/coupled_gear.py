@@ -121,7 +121,7 @@ def _gear(robot: WholeRobot, joint: int, motor: int) -> CoupledGear | None:
     gear = CoupledGear(tree.names[motor], tree.names[joint], 0.0, math.inf, 0.0, 0.0)
     records = with_others_measured(moving_records(robot.dataset, *pair), robot.nominal, *pair)
     bare = some(robot.nominal, pair)
-    fits = Fits(thinned(records, bare, robot.signal_share), signal_share=robot.signal_share, kept=robot.kept)
+    fits = Fits(thinned(records, bare), kept=robot.kept)
     fits = fits.over(robot.horizon)
 
     @cache

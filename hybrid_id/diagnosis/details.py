@@ -91,10 +91,8 @@ class Details:
     @cached_property
     def residual_tests(self) -> Mapping[str, tuple[ResidualTest, ...]]:
         """Whether what each fitted model leaves is white and independent of the inputs."""
-        share = self._fits.signal_share
         return {
-            name: residual_tests(self.dataset, m.system, m.result.engine, signal_share=share)
-            for name, m in self._fitted.items()
+            name: residual_tests(self.dataset, m.system, m.result.engine) for name, m in self._fitted.items()
         }
 
     @cached_property
@@ -121,10 +119,10 @@ def as_identified(fits: Fits, model: FittedModel, *, seed: int = 0, level: float
         seed: of the bootstrap.
         level: confidence of the intervals.
     """
-    found, system, dataset, share = model.result, model.system, fits.dataset, fits.signal_share
+    found, system, dataset = model.result, model.system, fits.dataset
     batch = fits.batch(system)
     there = finite_difference_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
-    seen = check_identifiability(dataset, system, signal_share=share)
+    seen = check_identifiability(dataset, system)
     unseen = [one.relative for one in seen.directions if not np.isfinite(one.relative_std)]
     jacobian = there.jacobian
     if unseen:  # sensitivities (T, n_y, n_f) without what they show along relative changes that nothing sees
@@ -133,6 +131,4 @@ def as_identified(fits: Fits, model: FittedModel, *, seed: int = 0, level: float
         scaled = (part * size for part in jacobian)
         jacobian = tuple((relative - (relative @ axes) @ axes.T) / size for relative in scaled)
     there = replace(there, status=found.status, iterations=found.iterations, jacobian=jacobian)
-    return analyse_fits(
-        dataset, system, [there], pooled=True, batch=batch, seed=seed, signal_share=share, level=level
-    )
+    return analyse_fits(dataset, system, [there], pooled=True, batch=batch, seed=seed, level=level)

@@ -62,7 +62,6 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import beyond, confounded_signals
 from hybrid_id.records.skew import Skew, find_skews
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.checks import check_identifiability
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
@@ -80,7 +79,6 @@ def diagnose(
     jobs: int = 1,
     seed: int = 0,
     level: float = 0.95,
-    signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -95,7 +93,6 @@ def diagnose(
         jobs: processes.
         seed: of the resampling.
         level: confidence of the parameters' intervals.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         kept: fits that an earlier run has kept, and where those of this one are kept.
         progress: called with (stage, done, total).
 
@@ -106,7 +103,7 @@ def diagnose(
         KeyboardInterrupt: stopped before the search has found anything.
     """
     measured, answer = answered(
-        dataset, system, horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed, signal_share=signal_share,
+        dataset, system, horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed,
         kept=kept, progress=progress,
     )  # fmt: skip
     if progress is not None:
@@ -122,7 +119,6 @@ def answered(
     max_effects: int = MAX_EFFECTS,
     jobs: int = 1,
     seed: int = 0,
-    signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> tuple[Measured, Answer]:
@@ -132,7 +128,7 @@ def answered(
     say = progress or (lambda *_: None)
     say("nominal model", 0, 1)
     system = within_reach(system)
-    measured = measure(dataset, system, horizon=horizon, jobs=jobs, signal_share=signal_share, kept=kept)
+    measured = measure(dataset, system, horizon=horizon, jobs=jobs, kept=kept)
     fits, found = search(
         measured.fits,
         measured.base,
@@ -168,7 +164,6 @@ def measure(
     *,
     horizon: Horizon | None = None,
     jobs: int = 1,
-    signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
 ) -> Measured:
     """Stage measure: take skew out of the records, thin them, and re-fit the nominal model; arguments as `diagnose`.
@@ -178,7 +173,7 @@ def measure(
     """
     skews = find_skews(dataset)
     dataset = dataset.without_skew({one.channel: one.late for one in skews})
-    fits = Fits(thinned(dataset, system, signal_share), jobs=jobs, signal_share=signal_share, kept=kept)
+    fits = Fits(thinned(dataset, system), jobs=jobs, kept=kept)
     fits = fits if horizon is None else fits.over(horizon)
     return Measured(dataset, tuple(skews), fits, fits.base(system))
 
@@ -444,9 +439,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         rejected[_in_words(name)] = "" if record is None else judging[record].name
         found = replace(found, chosen=rest, unsure=(*found.unsure, name))
     nothing = not found.chosen.effects and not graded.unknown and not varying
-    identified = (
-        check_identifiability(fits.dataset, system, signal_share=fits.signal_share) if nothing else None
-    )
+    identified = check_identifiability(fits.dataset, system) if nothing else None
     std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     if fits.dataset.validation:  # fitted once more, to train and validation records together
         models = [found.base] if found.chosen is found.base else [found.base, found.chosen]
@@ -462,7 +455,6 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
             engine(),
             fits.dataset.train,
             horizon=fits.horizon,
-            signal_share=fits.signal_share,
         )
         for one in (system, found.base.system)
     ]
@@ -510,9 +502,7 @@ def reported(
     dataset, found, graded, fits = measured.dataset, answer.found, answer.grade, answer.fits
     base, chosen = found.base, found.chosen
     models = ((system, engine()), (base.system, base.result.engine), (chosen.system, chosen.result.engine))
-    nominal, first, last = (
-        errors(dataset, one, how, horizon=fits.horizon, signal_share=fits.signal_share) for one, how in models
-    )
+    nominal, first, last = (errors(dataset, one, how, horizon=fits.horizon) for one, how in models)
     gap, contradiction, differs = None, "", False
     if nominal is None or first is None or last is None:
         nominal = first = last = None
@@ -528,7 +518,7 @@ def reported(
         if fits.whole and coloured and chosen.effects and not play:
             squares = []
             for model in (base.system, chosen.system):
-                batch = batch_of(fits.dataset, model, fits.dataset.test, fits.signal_share, "cpu")
+                batch = batch_of(fits.dataset, model, fits.dataset.test, "cpu")
                 windows = window_errors(model, engine(), batch, WINDOW)
                 squares.append(sum(float(np.square(one).sum()) for one in windows))
             differs = 0.0 < squares[1] < CRITERIA.left_open * squares[0]
@@ -555,13 +545,12 @@ def reported(
             dataset,
             tied_models(found),
             fits.horizon if found.near is None else found.near.horizon,
-            signal_share=fits.signal_share,
             thinned=coarse / fine if fine and coarse else 1.0,
         )
     substantial = graded.unknown or graded.remainder >= CRITERIA.substantial
     named_joint = bool(chosen.effects) and len(system.joints) > 1
     odd = bool(implausible_parameters(system, base.system))
-    identified = check_identifiability(dataset, system, signal_share=fits.signal_share) if odd else None
+    identified = check_identifiability(dataset, system) if odd else None
     return Diagnosis(
         case=dataset.name,
         verdict=answer.verdict,

@@ -47,7 +47,7 @@ def distinguished(robot: WholeRobot) -> dict[str, Answer]:
     each = {
         n: (one.fits.dataset, one.found.base.system, one.grade.beyond_floor) for n, one in answers.items()
     }
-    parts, _ = parts_of_gap(each, robot.horizon, robot.signal_share)
+    parts, _ = parts_of_gap(each, robot.horizon)
     large = [name for name, (_, share, _) in ties.items() if parts[name] * share >= CRITERIA.substantial]
     for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
         robot.say("the whole robot", k, len(large) + 1)
@@ -129,7 +129,7 @@ def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel
     """
     try:
         system = robot.system(models, held=True)
-        rows = train_rows(robot.records, system, robot.horizon, robot.signal_share)
+        rows = train_rows(robot.records, system, robot.horizon)
         fit = fitted(system, rows, robot.kept)
     except UNFITTED:
         return None

@@ -12,7 +12,6 @@ from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import less_half_a_count
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.replay import batch_of, run_freely
 from hybrid_id.systems.chain import System
@@ -69,7 +68,6 @@ def errors(
     records: Sequence[Record] | None = None,
     *,
     horizon: Horizon = WHOLE,
-    signal_share: float = SIGNAL_SHARE,
 ) -> Errors | None:
     """Errors of a model on records, None where there is none that moves.
 
@@ -79,12 +77,11 @@ def errors(
         engine: how it is integrated.
         records: the records; by default the test records.
         horizon: how long the free runs are before they start again from a measured state.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     records = dataset.test if records is None else records
     if not records:
         return None
-    whole = batch_of(dataset, system, records, signal_share, "cpu")
+    whole = batch_of(dataset, system, records, "cpu")
     runs = run_freely(system, engine, whole, horizon)
     batch, simulated = runs.pieces, runs.simulated.y.numpy()
     length = max(1, round(BLOCK / batch.sample_time))

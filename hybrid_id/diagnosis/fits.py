@@ -40,7 +40,6 @@ from hybrid_id.parameters import NARROWEST_PRIOR, Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiler_works
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
@@ -110,7 +109,6 @@ class Fits:
     Args:
         dataset: models are fitted to its train records; the validation records, where there are any, only judge.
         jobs: processes that share the fits, once a search turns out to be long.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long free runs are before they start again from a measured state.
         kept: fits of an earlier run, and where those of this one are kept.
 
@@ -125,11 +123,10 @@ class Fits:
         dataset: Dataset,
         *,
         jobs: int = 1,
-        signal_share: float = SIGNAL_SHARE,
         horizon: Horizon = WHOLE,
         kept: Kept | None = None,
     ) -> None:
-        self.dataset, self.jobs, self.signal_share, self.horizon = dataset, jobs, signal_share, horizon
+        self.dataset, self.jobs, self.horizon = dataset, jobs, horizon
         self.kept = kept
         self.fitted = 0
         self.weights: np.ndarray | None = None
@@ -156,7 +153,7 @@ class Fits:
 
     def records(self, system: System) -> Batch:
         """The train records, whole."""
-        return batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
+        return batch_of(self.dataset, system, self.dataset.train, "cpu")
 
     def batch(self, system: System) -> Batch:
         """What models are fitted to: the train records, or pieces of them from measured states."""
@@ -336,7 +333,7 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
-    asked = (fits.horizon, fits.signal_share, fits.weights, task, iterations, halting, fits.engine)
+    asked = (fits.horizon, fits.dataset.signal_share, fits.weights, task, iterations, halting, fits.engine)
     made_from = (records, *asked, CRITERIA.white, CRITERIA.coloured)
     make = partial(_fit, fits, task, iterations, halting)
     return kept_model(fits.kept, made_from, task.effects, task.system, make)
@@ -399,13 +396,13 @@ def _unseen(fits: Fits, result: FitResult) -> tuple[list[np.ndarray], float, Seq
     A free run that has lost its record errs at most by as much as any record moves: how far it strays from there says
     nothing of the model, and would drown all other records.
     """
-    system, share = result.system, fits.signal_share
+    system = result.system
     train = fits.records(system)
     reach = train.motion().amax(0).clamp_min(1.0).numpy()
     if not fits.dataset.validation:
         pieces = fits.horizon.cut(system, fits.engine, train)
         return bounded(predicted(result, pieces), reach), pieces.sample_time, pieces.names
-    whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
+    whole = batch_of(fits.dataset, system, fits.dataset.validation, "cpu")
     runs = run_freely(system, result.engine, whole, fits.horizon)
     seen, run = runs.pieces, runs.simulated.y.numpy()
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)

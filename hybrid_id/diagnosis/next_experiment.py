@@ -27,7 +27,7 @@ from hybrid_id.records.measures import DRIVES, sensor_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.systems.arm import MOTION
@@ -126,7 +126,6 @@ def next_experiment(
     tied: Sequence[Sequence[FittedModel]],
     horizon: Horizon = WHOLE,
     *,
-    signal_share: float = SIGNAL_SHARE,
     thinned: float = 1.0,
 ) -> list[Experiment]:
     """Records that together distinguish models, each the one that adds most to those before it; empty without a tie.
@@ -138,7 +137,6 @@ def next_experiment(
         dataset: its channels, amplitudes, noise and sample time.
         tied: groups of fitted models that explain the records alike.
         horizon: how long free runs of their fits are; strokes, which depend on the model, count as windows.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         thinned: sample time of the records that they were fitted to, over that of the dataset.
     """
     if horizon.kind == "strokes":
@@ -156,7 +154,7 @@ def next_experiment(
             able, logged = _simulated(dataset, models, here, noise)
             if able:
                 offers += able
-                every.append(_differences(models, pairs, logged, noise, horizon, signal_share))
+                every.append(_differences(dataset.signal_share, models, pairs, logged, noise, horizon))
     if not offers:
         return []
     names = [name for group in tied for name in _names(group)]
@@ -373,21 +371,21 @@ class _Differences:
 
 
 def _differences(
+    signal_share: float,
     models: Sequence[FittedModel],
     pairs: Sequence[Pair],
     logged: Sequence[Sequence[Record]],
     noise: Mapping[str, float],
     horizon: Horizon,
-    signal_share: float,
 ) -> dict[Pair, _Differences]:
     """By pair (who moves, who follows): both over the same free runs from the states that the first one's show."""
     found = {}
     for a, (mover, records) in enumerate(zip(models, logged, strict=True)):
-        own = _pieces(mover, records, noise, horizon, signal_share)
+        own = _pieces(signal_share, mover, records, noise, horizon)
         truth = simulate(mover.system, with_substeps(mover.system, mover.result.engine, own), own).y
         for b, other in enumerate(models):
             if (a, b) in pairs or (b, a) in pairs:
-                batch = replace(_pieces(other, records, noise, horizon, signal_share), y=truth)
+                batch = replace(_pieces(signal_share, other, records, noise, horizon), y=truth)
                 # what the other leaves of these outputs, its start states moved within their uncertainty
                 system, free, titles = other.system, other.system.estimated, [one.name for one in records]
                 engine = with_substeps(system, other.result.engine, batch)
@@ -408,11 +406,11 @@ def _differences(
 
 
 def _pieces(
+    signal_share: float,
     model: FittedModel,
     records: Sequence[Record],
     noise: Mapping[str, float],
     horizon: Horizon,
-    signal_share: float,
 ) -> Batch:
     outputs = list(noise)
     batch = make_batch(model.system, records, outputs=outputs, noise_std=noise, signal_share=signal_share)

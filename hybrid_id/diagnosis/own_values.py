@@ -27,7 +27,6 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.units import number_of, stem
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.systems.chain import System
 
 
@@ -101,7 +100,6 @@ def own_values(
     system: System,
     effects: Collection[Name],
     horizon: Horizon,
-    signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
 ) -> OwnValues | None:
     """Fit a robot to its train records together and to each by itself; None where a fit fails or runs away.
@@ -111,12 +109,11 @@ def own_values(
         system: their drives.
         effects: that it has: their parameters are those of all records.
         horizon: how long its free runs are.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         kept: fits that an earlier run has kept, and where these are kept.
     """
     found = list[FitResult]()
     try:
-        batch = train_rows(dataset, system, horizon, signal_share)
+        batch = train_rows(dataset, system, horizon)
         common, names = fitted(system, batch, kept), np.array(batch.names)
         # by bounds that meet, so that compiled steps, which are made for what a fit estimates, are those of `common`
         fixed = {
@@ -228,4 +225,4 @@ def _own_values(
     system = robot.system(models)
     if near is not None:
         system = with_values_of(system, near.common.system) or system
-    return own_values(robot.records, system, effects, robot.horizon, robot.signal_share, robot.kept)
+    return own_values(robot.records, system, effects, robot.horizon, robot.kept)

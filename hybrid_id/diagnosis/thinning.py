@@ -12,7 +12,6 @@ from hybrid_id.identification.windows import SHORTEST
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.resample import resample_record
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replay import batch_of
@@ -26,7 +25,7 @@ CARRIED = 2.0
 """RMS, in noises, of what is left of an output between the samples that stay; its noise alone leaves 1.2."""
 
 
-def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE) -> Dataset:
+def thinned(dataset: Dataset, system: System) -> Dataset:
     """A dataset of as few samples as lose nothing, at most 5 ms apart; inputs are averaged over the longer steps.
 
     Nothing is lost where the train records' outputs are had back from the samples that stay, within their noise, and
@@ -37,7 +36,6 @@ def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
     Args:
         dataset: records; those that do not share one sample time stay as they are.
         system: the nominal model.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     step = dataset.sample_time
     if step is None:
@@ -46,7 +44,7 @@ def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
     most = min(int(LONGEST / step + 1e-6), least // FEWEST)
     if most < 2:
         return dataset
-    whole = batch_of(dataset, system, dataset.train, signal_share)
+    whole = batch_of(dataset, system, dataset.train)
     run = _run(system, whole)
     for factor in range(most, 1, -1):
         found = [resample_record(record, factor * step) for record in dataset.records]
@@ -59,7 +57,7 @@ def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
         lost = np.array([[one.get(name, 0.0) for name in whole.outputs] for one in left])
         if (
             bool((lost * weight <= CARRIED).all())
-            and _moved(system, one, whole, run, factor, signal_share) <= CRITERIA.negligible
+            and _moved(system, one, whole, run, factor) <= CRITERIA.negligible
         ):
             return one
     return dataset
@@ -70,11 +68,9 @@ def _run(system: System, batch: Batch) -> np.ndarray:
     return simulate(system, with_substeps(system, engine(), batch), batch).y.numpy()
 
 
-def _moved(
-    system: System, one: Dataset, whole: Batch, run: np.ndarray, factor: int, signal_share: float
-) -> float:
+def _moved(system: System, one: Dataset, whole: Batch, run: np.ndarray, factor: int) -> float:
     """RMS difference, in noises, of the nominal model's free runs at longer steps from the same first states."""
-    short = batch_of(one, system, one.train, signal_share)
+    short = batch_of(one, system, one.train)
     x = short.x.clone()
     x[:, 0] = whole.x[:, 0]
     other = _run(system, replace(short, x=x))

@@ -27,7 +27,6 @@ from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import sensor_noise
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.by_joint import joint_parts, some, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
@@ -47,7 +46,6 @@ class WholeRobot:
         nominal: the nominal robot.
         answers: of its joints, by name.
         horizon: how long free runs are.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         seed: of the resampling.
         progress: called with (stage, done, total).
     """
@@ -56,7 +54,6 @@ class WholeRobot:
     nominal: System
     answers: Mapping[str, Answer]
     horizon: Horizon
-    signal_share: float = SIGNAL_SHARE
     seed: int = 0
     progress: Progress | None = None
 
@@ -115,7 +112,7 @@ class WholeRobot:
         return robot if self.every else some(robot, self.simulated)
 
 
-def common_horizon(answers: Mapping[str, Answer], signal_share: float) -> Horizon:
+def common_horizon(answers: Mapping[str, Answer]) -> Horizon:
     """How long free runs of a whole robot are: the shortest that any joint's records ask for, or less.
 
     A free run that has lost its record says how far it strays, and not how much is missing: where that of a re-fitted
@@ -125,15 +122,15 @@ def common_horizon(answers: Mapping[str, Answer], signal_share: float) -> Horizo
     if horizon.kind == "windows" and horizon.seconds <= WINDOW:
         return horizon
     for name, one in answers.items():
-        errs = _beyond_noise(one.fits.dataset, one.found.base.system, horizon, signal_share).values()
+        errs = _beyond_noise(one.fits.dataset, one.found.base.system, horizon).values()
         if errs and np.mean([np.sqrt(square * share) for square, share in errs]) > CRITERIA.lost_refit:
             return Horizon("windows", WINDOW, f"longer ones lose the records of {name}")
     return horizon
 
 
-def train_rows(dataset: Dataset, system: System, horizon: Horizon, signal_share: float) -> Batch:
+def train_rows(dataset: Dataset, system: System, horizon: Horizon) -> Batch:
     """The train records of a robot as its fits take them."""
-    return horizon.cut(system, engine(), batch_of(dataset, system, dataset.train, signal_share, "cpu"))
+    return horizon.cut(system, engine(), batch_of(dataset, system, dataset.train, "cpu"))
 
 
 def fitted(system: System, rows: Batch, kept: Kept | None) -> FitResult:
@@ -212,7 +209,7 @@ def less(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None
 
 
 def parts_of_gap(
-    found: Mapping[str, tuple[Dataset, System, float]], horizon: Horizon, signal_share: float
+    found: Mapping[str, tuple[Dataset, System, float]], horizon: Horizon
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Share of each diagnosed joint in the robot's gap on train records, and the least and the most that it may be.
 
@@ -222,11 +219,10 @@ def parts_of_gap(
     Args:
         found: by a joint's name its records, its re-fitted model, and what is beyond the floor of what that leaves.
         horizon: how long free runs are.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     gap, beyond = dict.fromkeys(found, 0.0), dict.fromkeys(found, 0.0)
     for name, (dataset, base, beyond_floor) in found.items():
-        for square, share in _beyond_noise(dataset, base, horizon, signal_share).values():
+        for square, share in _beyond_noise(dataset, base, horizon).values():
             # records in which a joint stands still are not among its own
             beyond[name] += len(dataset.train) * square * share
             gap[name] += len(dataset.train) * square * min(beyond_floor, share)
@@ -246,14 +242,12 @@ def parts_of_gap(
     return parts, {name: bounds(name, part) for name, part in parts.items()}
 
 
-def _beyond_noise(
-    dataset: Dataset, system: System, horizon: Horizon, signal_share: float
-) -> dict[str, tuple[float, float]]:
+def _beyond_noise(dataset: Dataset, system: System, horizon: Horizon) -> dict[str, tuple[float, float]]:
     """By output the mean square of a model's train errors, over the signal's variance, and its share beyond the noise.
 
     Without outputs that do not move, or err by no more than it.
     """
-    seen = errors(dataset, system, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
+    seen = errors(dataset, system, engine(), dataset.train, horizon=horizon)
     found: dict[str, tuple[float, float]] = {}
     if seen is None:
         return found

@@ -12,6 +12,9 @@ from hybrid_id.records.files import hidden_beside
 from hybrid_id.records.record import Channel, Record, keeps_step
 from hybrid_id.records.resample import ResampleReport, shift_channels
 
+SIGNAL_SHARE = 0.004
+"""Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
@@ -27,6 +30,7 @@ class Dataset:
         path: Folder or file that it was loaded from.
         resampling: One report a record where they were resampled on loading.
         cut_beyond: Record -> words on its `between` in the file, where that reaches beyond what is logged.
+        signal_share: What fits add to the noise of each measurement, as a share of its signal's standard deviation.
 
     Example:
         >>> data = Dataset.load("my_robot")  # doctest: +SKIP
@@ -42,6 +46,7 @@ class Dataset:
     path: Path | None = None
     resampling: tuple[ResampleReport, ...] = ()
     cut_beyond: Mapping[str, str] = field(default_factory=dict)
+    signal_share: float = SIGNAL_SHARE
 
     def __post_init__(self) -> None:
         for name in ("inputs", "outputs", "records", "resampling"):

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from hybrid_id.components.input.servo_integral import ServoIntegral
 from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import SIGNAL_SHARE
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
 from hybrid_id.records.measures import noise_of, quantisation_step, rest_samples, spread_of
 from hybrid_id.records.record import Record
@@ -23,8 +24,6 @@ RESTING = 5
 """Samples at rest from which on a record counts as one that starts at rest, and fewest samples of any record."""
 START = RESTING - 1
 """Samples over which the acceleration at the start is taken, which a gear's deflection there follows from."""
-SIGNAL_SHARE = 0.004
-"""Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
 LEAST = 0.1
 """Least standard deviation of a record's measurements, relative to the typical one of its dataset."""
 STANDING = 10

@@ -26,7 +26,6 @@ from hybrid_id.identification.networks import with_memory
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.hybrid import correlated_errors, network_roles
 from hybrid_id.study.many import each_kept
@@ -296,7 +295,6 @@ class Task:
         memory: hidden states of a network with memory.
         lipschitz: bound of the networks, None for none.
         horizon: length [s] of the short free runs from measured states.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
 
     dataset: Dataset
@@ -307,7 +305,6 @@ class Task:
     memory: int = 2
     lipschitz: float | None = None
     horizon: float = 0.2
-    signal_share: float = SIGNAL_SHARE
 
     def model(self, arm: Arm, seed: int, train: Batch | None = None) -> System:
         """The model of an arm before its training; the network alone takes its scale from the batch."""
@@ -360,7 +357,7 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
 
     def batch(names: Sequence[str]) -> Batch:
         records = [task.dataset[name] for name in names]
-        return batch_of(task.dataset, system, records, task.signal_share)
+        return batch_of(task.dataset, system, records)
 
     if arm.residual == BLACK_BOX:
         options, system = replace(options, price=0.0), task.model(arm, cell.seed, batch(split.train))
@@ -434,7 +431,10 @@ def run_cells(
         InputError: nobody answers at the address, or Dask is not installed.
     """
     decides = {field.name: getattr(task, field.name) for field in fields(task)}
-    decides |= {"dataset": task.dataset.digest, "options": replace(task.options, seed=0)}
+    decides |= {
+        "dataset": (task.dataset.digest, task.dataset.signal_share),
+        "options": replace(task.options, seed=0),
+    }
     shared = digest_of(decides)
     results, failed = each_kept(
         run_cell, task, {cell.name: cell for cell in cells}, kind=CellResult, files=files,

@@ -21,7 +21,6 @@ from hybrid_id.records.measures import less_half_a_count, sensor_noise
 from hybrid_id.records.quality import Finding, check_encoders
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.identifiability import Identifiability, identifiability
@@ -77,9 +76,7 @@ def identifiability_of(result: FitResult, *, inflation: float = 1.0) -> Identifi
     )
 
 
-def check_identifiability(
-    dataset: Dataset, system: System, *, signal_share: float = SIGNAL_SHARE
-) -> Identifiability:
+def check_identifiability(dataset: Dataset, system: System) -> Identifiability:
     """What the train records can tell about the model's parameters, before any fit, at its start values.
 
     The sensitivities are those of a free run linearised along the measured motion.
@@ -88,7 +85,7 @@ def check_identifiability(
         InputError: nothing to estimate, or missing channels.
     """
     free = free_parameters(system)
-    batch = batch_of(dataset, system, dataset.train or dataset.records, signal_share)
+    batch = batch_of(dataset, system, dataset.train or dataset.records)
     theta = system.theta().detach()[:, None].expand(-1, batch.rows)
     engine = with_substeps(system, compiled_for(system, Engine()), batch, theta)
     options = Options()
@@ -371,7 +368,6 @@ def residual_tests(
     records: Sequence[Record] = (),
     x0: np.ndarray | None = None,
     horizon: Horizon = WHOLE,
-    signal_share: float = SIGNAL_SHARE,
 ) -> tuple[ResidualTest, ...]:
     """Test what a model's free runs leave; an output that stands still in all of the records is left out.
 
@@ -382,10 +378,9 @@ def residual_tests(
         records: which to simulate (default: the test records, or the train records where none is a test).
         x0: first state of each, ``(R, n_x)`` (default: as measured); of whole records only.
         horizon: how long the free runs are (default: whole records).
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     records = records or dataset.test or dataset.train
-    batch = batch_of(dataset, system, records, signal_share)
+    batch = batch_of(dataset, system, records)
     if x0 is not None and horizon.kind == "whole":
         batch.x[:, 0] = torch.as_tensor(x0)
     runs = run_freely(system, engine, batch, horizon)
@@ -405,16 +400,15 @@ def residual_tests(
     return tuple(tests)
 
 
-def study_residuals(
-    dataset: Dataset, study: Study, *, signal_share: float = SIGNAL_SHARE
-) -> dict[str, tuple[ResidualTest, ...]]:
+def study_residuals(dataset: Dataset, study: Study) -> dict[str, tuple[ResidualTest, ...]]:
     """What the selected set leaves of the records that it was fitted to (``train``), and of the test records."""
     chosen = study.selected
     fitted = [dataset[name] for name in dict.fromkeys(chosen.records)]
     parts = {"train": (fitted, chosen.x0)} | ({"test": (dataset.test, None)} if dataset.test else {})
-    how = {"horizon": study.horizon, "signal_share": signal_share}
     return {
-        role: residual_tests(dataset, chosen.system, chosen.engine, records=records, x0=x0, **how)
+        role: residual_tests(
+            dataset, chosen.system, chosen.engine, records=records, x0=x0, horizon=study.horizon
+        )
         for role, (records, x0) in parts.items()
     }
 
@@ -425,7 +419,6 @@ def profiles(
     names: Sequence[str],
     *,
     options: Options | None = None,
-    signal_share: float = SIGNAL_SHARE,
     progress: Callable[[str], object] | None = None,
 ) -> dict[str, Profile]:
     """Profile likelihood of some parameters of the selected set, by name: every point is a fit of all the others.
@@ -439,7 +432,6 @@ def profiles(
         study: whose selected set is profiled.
         names: of parameters that it estimates.
         options: settings of the fits; those of the study's own.
-        signal_share: as in the study.
         progress: called with words before each fit.
 
     Raises:
@@ -448,7 +440,7 @@ def profiles(
     check_names(names, study.names)
     chosen, index = study.selected, study.selection.index
     records = [record for record in dataset.train if record.name in chosen.records]
-    batch = batch_of(dataset, chosen.system, records, signal_share)
+    batch = batch_of(dataset, chosen.system, records)
     batch = study.horizon.cut(chosen.system, chosen.engine, batch)
     plain, robust = study.covariances[index], study.robust[index]
 

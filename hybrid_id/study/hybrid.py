@@ -20,7 +20,6 @@ from hybrid_id.identification.networks import effects, networks_of, physical_nam
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.residuals import ResidualTest
@@ -153,13 +152,11 @@ class HybridStudy:
         return found
 
 
-def physics_alone(dataset: Dataset, study: HybridStudy, *, signal_share: float = SIGNAL_SHARE) -> Study:
+def physics_alone(dataset: Dataset, study: HybridStudy) -> Study:
     """The physics alone of a hybrid training as :func:`hybrid_id.study.identify` would judge it."""
     physics = study.result.physics
     fitted = dataset.select(physics.records)  # the others have validated
-    return analyse_fits(
-        fitted, physics.system, [physics], pooled=True, signal_share=signal_share, level=study.level
-    )
+    return analyse_fits(fitted, physics.system, [physics], pooled=True, level=study.level)
 
 
 def hybridise(
@@ -169,7 +166,6 @@ def hybridise(
     options: HybridOptions | None = None,
     validation: Sequence[str] | None = None,
     device: str = "cpu",
-    signal_share: float = SIGNAL_SHARE,
     level: float = 0.95,
     **settings: Any,
 ) -> HybridStudy:
@@ -182,13 +178,12 @@ def hybridise(
         validation: names of the records that say when to end and whether to keep the networks (default: see
             :func:`split`).
         device: torch device.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         level: confidence of the intervals.
         settings: further arguments of :func:`hybrid_id.identification.hybrid.train_hybrid`.
     """
     options = options or HybridOptions()
     train, held = split(dataset, validation)
-    batch, looked = (batch_of(dataset, system, part, signal_share, device) for part in (train, held))
+    batch, looked = (batch_of(dataset, system, part, device) for part in (train, held))
     start = copy.deepcopy(system).to(device)
     result = train_hybrid(start, batch, looked, options=options, spread=correlated_errors, **settings)
     system, batch = copy.deepcopy(system).to("cpu"), batch.to("cpu")  # what follows is done once
@@ -198,7 +193,7 @@ def hybridise(
     info = [i for i in first.system.table if i.spec.estimate]
     values = [np.array([s.parameter(i.name).spec.value for i in info]) for s in (first.system, chosen.system)]
     roles = network_roles(result.models[-1].system, result.engine, batch)
-    everything = batch_of(dataset, system, dataset.records, signal_share)
+    everything = batch_of(dataset, system, dataset.records)
     misses = [weighted_errors(s, result.engine, everything) for s in (first.system, chosen.system)]
     # how far the records are met with parameters of their own, from those of the fit with one set for all
     physics, alone = result.physics, physics_of(system, batch)[1]
@@ -369,13 +364,8 @@ def _ratio(part: Tensor, whole: Tensor) -> float:
     return float(part / whole) if float(whole) > 0 else 0.0
 
 
-def hybrid_residuals(
-    dataset: Dataset, study: HybridStudy, *, signal_share: float = SIGNAL_SHARE
-) -> dict[str, tuple[ResidualTest, ...]]:
+def hybrid_residuals(dataset: Dataset, study: HybridStudy) -> dict[str, tuple[ResidualTest, ...]]:
     """What physics alone leaves (``physics``), and the chosen system where that is another one (``hybrid``)."""
     result = study.result
     models = {"physics": result.models[0].system} | ({"hybrid": result.system} if result.chosen else {})
-    return {
-        name: residual_tests(dataset, one, result.engine, signal_share=signal_share)
-        for name, one in models.items()
-    }
+    return {name: residual_tests(dataset, one, result.engine) for name, one in models.items()}

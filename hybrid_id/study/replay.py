@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch, typical_deviations
+from hybrid_id.simulation.prepare import make_batch, typical_deviations
 from hybrid_id.simulation.rollout import Simulation, cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
@@ -32,18 +33,13 @@ WORSE = 1.02
 """Error of identified values over that of the nominal ones from which it is no accident of the noise."""
 
 
-def batch_of(
-    dataset: Dataset,
-    system: System,
-    records: Sequence[Record],
-    signal_share: float = SIGNAL_SHARE,
-    device: str = "cpu",
-) -> Batch:
+def batch_of(dataset: Dataset, system: System, records: Sequence[Record], device: str = "cpu") -> Batch:
     """Records of a dataset prepared with the noise that it declares, and weighed as is typical of it."""
-    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     known = dataset.train or dataset.records
-    typical = typical_deviations(known, noise_std=noise, signal_share=signal_share)
-    return make_batch(system, records, noise_std=noise, signal_share=signal_share, typical=typical).to(device)
+    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    weighing: dict[str, Any] = {"noise_std": noise, "signal_share": dataset.signal_share}
+    typical = typical_deviations(known, **weighing)
+    return make_batch(system, records, typical=typical, **weighing).to(device)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +170,6 @@ def errors_on(
     dataset: Dataset,
     system: System,
     engine: Engine,
-    signal_share: float,
     horizon: Horizon = WHOLE,
 ) -> tuple[dict[str, float], dict[str, OutputError]]:
     """Errors of a model on records of a dataset: normalised RMSE by record, outputs averaged, and the error by output.
@@ -183,7 +178,7 @@ def errors_on(
     """
     if not records:
         return {}, {}
-    batch = batch_of(dataset, system, records, signal_share)
+    batch = batch_of(dataset, system, records)
     runs = run_freely(system, engine, batch, horizon)
     normalised, plain = runs.errors(nrmse), runs.errors(rmse)
     by_record = {name: known_mean(row) for name, row in zip(batch.names, normalised, strict=True)}
@@ -235,7 +230,6 @@ def beside_nominal(
     dataset: Dataset,
     system: System,
     result: FitResult,
-    signal_share: float,
     horizon: Horizon = WHOLE,
     tested: Mapping[str, float] | None = None,
 ) -> BesideNominal:
@@ -245,7 +239,6 @@ def beside_nominal(
         dataset: the records.
         system: the model with its nominal values.
         result: the set.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long the free runs are.
         tested: errors of the set on the test records, where they are known.
     """
@@ -253,7 +246,7 @@ def beside_nominal(
     role, records = next((role, records) for role, records in by_role.items() if records)
 
     def errors(one: System) -> Mapping[str, float]:
-        return errors_on(records, dataset, one, result.engine, signal_share, horizon)[0]
+        return errors_on(records, dataset, one, result.engine, horizon)[0]
 
     nominal, identified = (
         known_mean(each.values()) for each in (errors(system), tested or errors(result.system))

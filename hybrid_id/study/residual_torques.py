@@ -28,7 +28,6 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.statistics.variation import PairedDifference, paired_difference
@@ -144,7 +143,6 @@ def learn_residuals(
     joints: Sequence[str] = (),
     *,
     horizon: Horizon | None = None,
-    signal_share: float = SIGNAL_SHARE,
     say: Say | None = None,
 ) -> ArmHybrid:
     """Let a network at each joint of a robot learn what physics leaves there, and keep those that earn their place.
@@ -156,7 +154,6 @@ def learn_residuals(
         joints: names; none for all. Those that a coupled gear turns together are taken together, with a network each,
             which all stay or none.
         horizon: how long free runs are; None for what the records of each joint ask for.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         say: called with (joint, done, total).
 
     Ctrl-C ends it with the joints that are done.
@@ -187,7 +184,7 @@ def learn_residuals(
             part = turned_together(system, k)
             one = some(system, part)
             own = with_others_measured(moving_records(dataset, *part), system, *part)
-            learnt = _learn(own, one, horizon, signal_share)
+            learnt = _learn(own, one, horizon)
         except InputError as error:
             skipped[name] = str(error).removesuffix(".")
             continue
@@ -208,14 +205,12 @@ def learn_residuals(
         )
     tested: dict[str, tuple[float, float]] = {}
     if dataset.test:
-        errors = [_errors(dataset, one, dataset.test, WHOLE, signal_share) for one in (physics, whole)]
+        errors = [_errors(dataset, one, dataset.test, WHOLE) for one in (physics, whole)]
         tested = {name: (errors[0][name], errors[1][name]) for name in errors[0]}
     return ArmHybrid(found, skipped, physics, whole, tested, interrupted)
 
 
-def _learn(
-    dataset: Dataset, system: System, horizon: Horizon | None, signal_share: float
-) -> list[JointHybrid]:
+def _learn(dataset: Dataset, system: System, horizon: Horizon | None) -> list[JointHybrid]:
     """Physics alone and with a network at each joint, of a joint by itself or of those of a coupled gear together."""
     train = dataset.train
     judges = "validation" if dataset.validation else "train"
@@ -229,12 +224,12 @@ def _learn(
 
     def fitted(start: System, records: Sequence[Record], over: Horizon) -> FitResult:
         """One set of the estimated parameters for all of some records."""
-        batch = over.cut(start, engine, batch_of(dataset, start, records, signal_share))
+        batch = over.cut(start, engine, batch_of(dataset, start, records))
         return fit(start, batch, pooled=True, engine=engine, options=Options(max_iterations=ITERATIONS))[0]
 
     physics = fitted(system, train, horizon or WHOLE)
     if horizon is None:
-        batch = batch_of(dataset, system, train, signal_share)
+        batch = batch_of(dataset, system, train)
         horizon = choose_horizon(system, physics.engine, batch, [physics])
         if horizon.kind != "whole":
             physics = fitted(system, train, horizon)
@@ -243,30 +238,26 @@ def _learn(
         if dataset.validation
         else [train[k::FOLDS] for k in range(min(FOLDS, len(train)))]
     )
-    over = horizon, signal_share
     errors: dict[float, dict[str, tuple[float, float]]] = {size: {} for size in SIZES}
     for part in held:
         rest = [record for record in train if record.name not in {r.name for r in part}]
         before = fitted(physics.system, rest, horizon)
-        own = _errors(dataset, before.system, part, *over)
+        own = _errors(dataset, before.system, part, horizon)
         for size in SIZES:
-            after = _with_network(dataset, before, rest, size, *over)
-            richer = _errors(dataset, after.system, part, *over)
+            after = _with_network(dataset, before, rest, size, horizon)
+            richer = _errors(dataset, after.system, part, horizon)
             errors[size] |= {name: (own[name], richer[name]) for name in own}
     apart = sum(map(len, held)) / len(held)
     overlap = apart / (len(train) if dataset.validation else len(train) - apart)
     best, gain, stays = _best_size(errors, overlap)
-    hybrid = _with_network(dataset, physics, train, best, *over) if stays else physics
-    tested = [_errors(dataset, one.system, dataset.test, *over) for one in (physics, hybrid)]
+    hybrid = _with_network(dataset, physics, train, best, horizon) if stays else physics
+    tested = [_errors(dataset, one.system, dataset.test, horizon) for one in (physics, hybrid)]
     found = JointHybrid(
         physics, hybrid, best if stays else None, gain, errors[best],
         {name: (tested[0][name], tested[1][name]) for name in tested[0]}, horizon, None,
     )  # fmt: skip
     joints = hybrid.system.joints
-    return [
-        replace(found, map=_map(dataset, hybrid.system, joint, signal_share) if stays else None)
-        for joint in joints
-    ]
+    return [replace(found, map=_map(dataset, hybrid.system, joint) if stays else None) for joint in joints]
 
 
 def _best_size(
@@ -296,13 +287,12 @@ def _with_network(
     records: Sequence[Record],
     size: float,
     horizon: Horizon,
-    signal_share: float,
 ) -> FitResult:
     """Fit of a network at each joint to what a model leaves, first with the model held, then of both."""
     system = physics.system
     richer = system.with_specs({i.name: replace(i.spec, estimate=False) for i in system.table})
     for joint in system.joints:
-        angle, speed, torque = _motion(dataset, system, joint, records, signal_share)
+        angle, speed, torque = _motion(dataset, system, joint, records)
         low, high = float(angle.min()), float(angle.max())
         network = ResidualTorque(
             S_r=_rms(torque), m_q=0.5 * (low + high), s_q=0.5 * (high - low) or 1.0, s_v=_rms(speed)
@@ -317,7 +307,7 @@ def _with_network(
     }
     richer = richer.with_specs(priors)
     engine = compiled_for(richer, physics.engine)
-    part = horizon.cut(richer, engine, batch_of(dataset, richer, records, signal_share))
+    part = horizon.cut(richer, engine, batch_of(dataset, richer, records))
     options = Options(max_iterations=ITERATIONS)
     settings = {"pooled": True, "engine": engine, "options": options, "warm": False}
     learnt = fit(richer, part, **settings)[0].system
@@ -339,10 +329,10 @@ def _with_network(
 
 
 def _motion(
-    dataset: Dataset, system: System, joint: Joint, records: Sequence[Record], signal_share: float
+    dataset: Dataset, system: System, joint: Joint, records: Sequence[Record]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Angle [rad], speed [rad/s] and its own drive's torque [N m] of a joint at its link, ``(N,)`` each."""
-    batch = batch_of(dataset, system, records, signal_share)
+    batch = batch_of(dataset, system, records)
     used = (batch.weight > 0).any(2)
     states = [column[used] for column in batch.x.unbind(2)]
     channels = {name: channel[used] for name, channel in batch.u.items()}
@@ -358,9 +348,9 @@ def _rms(values: Tensor) -> float:
 
 
 @torch.no_grad()
-def _map(dataset: Dataset, system: System, joint: Joint, signal_share: float) -> TorqueMap:
+def _map(dataset: Dataset, system: System, joint: Joint) -> TorqueMap:
     """What a joint's network does, over the range of its train records."""
-    angle, speed, drive = _motion(dataset, system, joint, dataset.train, signal_share)
+    angle, speed, drive = _motion(dataset, system, joint, dataset.train)
     network = cast(ResidualTorque, system.components[f"{joint.name}/load/{ResidualTorque.kind}"])
     grids = [
         torch.linspace(float(s.min()), float(s.max()), GRID, dtype=torch.float64) for s in (angle, speed)
@@ -381,10 +371,10 @@ def standard_errors(physics: FitResult) -> dict[str, float]:
 
 
 def _errors(
-    dataset: Dataset, system: System, records: Sequence[Record], horizon: Horizon, signal_share: float
+    dataset: Dataset, system: System, records: Sequence[Record], horizon: Horizon
 ) -> dict[str, float]:
     """RMS of the weighted errors of a model's free runs, by record."""
     if not records:
         return {}
-    batch = batch_of(dataset, system, records, signal_share)
+    batch = batch_of(dataset, system, records)
     return weighted_errors(system, compiled_for(system, Engine()), batch, horizon)

@@ -24,7 +24,6 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
@@ -55,7 +54,6 @@ def identify(
     starts: int = 1,
     seed: int = 0,
     device: str = "cpu",
-    signal_share: float = SIGNAL_SHARE,
     horizon: Horizon | None = None,
     level: float = 0.95,
     jobs: int = 1,
@@ -75,7 +73,6 @@ def identify(
         starts: start points; the best end counts.
         seed: of start points and bootstrap.
         device: torch device.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long the free runs are that are fitted and compared with the records (default: whole records where
             they follow them, otherwise see :func:`hybrid_id.identification.horizons.choose_horizon`).
         level: confidence of the intervals.
@@ -101,7 +98,7 @@ def identify(
             stop = Path(folder) / "stop"
 
             def fitted(over: Horizon) -> list[FitResult]:
-                shared = dataset, system, settings, stop, over, device, signal_share
+                shared = dataset, system, settings, stop, over, device
                 with whole_pool():
                     results: Any = Parallel(jobs)(delayed(fit_share)(share, *shared) for share in shares)
                 by_record = {fit.records[0]: fit for fits in results for fit in fits}
@@ -111,14 +108,14 @@ def identify(
             try:
                 sets = fitted(horizon or WHOLE)
                 if horizon is None:
-                    whole = batch_of(dataset, system, records, signal_share, "cpu")
+                    whole = batch_of(dataset, system, records, "cpu")
                     horizon = choose_horizon(system, engine, whole, sets, options=options)
                     if horizon.kind != "whole":  # stopped before, the sets are those of whole records
                         sets, horizon = (sets, WHOLE) if stop.exists() else (fitted(horizon), horizon)
             finally:
                 watch(None)
     else:
-        batch = batch_of(dataset, system, dataset.train, signal_share, device)
+        batch = batch_of(dataset, system, dataset.train, device)
         model = copy.deepcopy(system).to(device)  # the caller's stays where it is
         sets, horizon = fit_sets(
             model, engine, batch, horizon, pooled=pooled, options=options, starts=starts, seed=seed, kept=kept,
@@ -134,14 +131,14 @@ def identify(
         start = torch.stack([result.system.theta().detach() for result in sets], 1)
         ends = []
         for data in noisier:
-            noisy = batch_of(data, system, data.train, signal_share)
+            noisy = batch_of(data, system, data.train)
             part = horizon.cut(sets[0].system, sets[0].engine, noisy)
             how = {"engine": sets[0].engine, "options": options, "warm": False, "start_values": start}
             fits = fit(system, part, pooled=pooled, **how)
             ends.append([np.where(one.status == "diverged", np.inf, one.values) for one in fits])
         shifts = np.array(ends) - _estimates(sets)
     return analyse_fits(
-        dataset, system, sets, pooled=pooled, batch=batch, shifts=shifts, seed=seed, signal_share=signal_share,
+        dataset, system, sets, pooled=pooled, batch=batch, shifts=shifts, seed=seed,
         horizon=horizon, level=level,
     )  # fmt: skip
 
@@ -198,13 +195,12 @@ def fit_share(
     stop: Path,
     horizon: Horizon,
     device: str,
-    signal_share: float,
 ) -> list[FitResult]:
     """The share of one process, train records by number; it ends early when the file `stop` is there."""
     leave_ctrl_c_to_the_first()
     torch.set_num_threads(1)
     # all records first: the weight of an output that stands still in one is known from the others
-    batch = batch_of(dataset, system, dataset.train, signal_share, "cpu").take(torch.tensor(share)).to(device)
+    batch = batch_of(dataset, system, dataset.train, "cpu").take(torch.tensor(share)).to(device)
     sets, _ = fit_sets(
         system.to(device), batch=batch, horizon=horizon, pooled=False, numbers=share,
         progress=lambda *_: stop.exists(), **settings,
@@ -221,7 +217,6 @@ def analyse_fits(
     batch: Batch | None = None,
     shifts: np.ndarray | None = None,
     seed: int = 0,
-    signal_share: float = SIGNAL_SHARE,
     horizon: Horizon = WHOLE,
     level: float = 0.95,
 ) -> Study:
@@ -230,7 +225,7 @@ def analyse_fits(
     ``batch`` is of the train records (default: made anew), ``shifts`` how far noisier inputs move each set,
     ``(n, n_sets, p)``, and ``horizon`` the one over which the sets were fitted.
     """
-    batch = batch_of(dataset, system, dataset.train, signal_share) if batch is None else batch.to("cpu")
+    batch = batch_of(dataset, system, dataset.train) if batch is None else batch.to("cpu")
     if all(result.status == "diverged" for result in sets):
         engine = stable_engine(system, sets[0].engine, batch)
         cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
@@ -288,10 +283,8 @@ def analyse_fits(
         why = "the iterations were used up before the fit had converged"
         reliability = tuple(replace(r, grade="C", reason=why) if r.grade in "AB" else r for r in reliability)
     pieces = horizon.cut(chosen.system, chosen.engine, batch)
-    by_record, by_output = errors_on(
-        dataset.test, dataset, chosen.system, chosen.engine, signal_share, horizon
-    )
-    beside = beside_nominal(dataset, system, chosen, signal_share, horizon, by_record)
+    by_record, by_output = errors_on(dataset.test, dataset, chosen.system, chosen.engine, horizon)
+    beside = beside_nominal(dataset, system, chosen, horizon, by_record)
     return Study(
         system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,
         by_record, engine_error(chosen, pieces), beside,

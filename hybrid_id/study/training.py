@@ -17,7 +17,6 @@ from hybrid_id.identification.horizons import window_samples
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.fit import fit_percent
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
@@ -30,7 +29,6 @@ def train(
     system: System,
     *,
     device: str = "cpu",
-    signal_share: float = SIGNAL_SHARE,
     **settings: Any,
 ) -> list[FitResult]:
     """Train one parameter set for each train record, or one over all; validation records validate, else test records.
@@ -39,7 +37,6 @@ def train(
         dataset: the records.
         system: model with start values; it stays as it is.
         device: torch device.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         settings: further arguments of :func:`hybrid_id.identification.adjoint.train`.
 
     Raises:
@@ -48,7 +45,7 @@ def train(
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'")
     batch, held = (
-        batch_of(dataset, system, records, signal_share, device) if records else None
+        batch_of(dataset, system, records, device) if records else None
         for records in (dataset.train, dataset.validation or dataset.test)
     )
     assert batch is not None

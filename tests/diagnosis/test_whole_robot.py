@@ -24,11 +24,11 @@ def answer(horizon: Horizon, inertia: float) -> Any:
 def test_runs_that_have_lost_their_records_begin_again_from_measured_states() -> None:
     short = Horizon("windows", 0.5)
     good, lost = answer(WHOLE, 1.0), answer(WHOLE, 20.0)
-    assert common_horizon({"lift": good, "elbow": good}, 0.1) == WHOLE
-    found = common_horizon({"lift": good, "elbow": lost}, 0.1)
+    assert common_horizon({"lift": good, "elbow": good}) == WHOLE
+    found = common_horizon({"lift": good, "elbow": lost})
     assert found.seconds == short.seconds and "elbow" in found.reason and "lift" not in found.reason
     # what a joint asks for anyway stays
-    assert common_horizon({"lift": answer(short, 1.0), "elbow": lost}, 0.1) == short
+    assert common_horizon({"lift": answer(short, 1.0), "elbow": lost}) == short
 
 
 def test_a_joint_is_held_as_its_search_has_left_it() -> None:

@@ -41,19 +41,26 @@ def record(seed: int, side: str = "m", truth: System = TRUTH, noise: float = NOI
 def at_the_link(truth: System, noise: float) -> Dataset:
     """Records whose encoder sits at the link: the rotor turns unseen."""
     records = (record(1, "a", truth, noise), record(2, "a", truth, noise))
-    return Dataset("link", (Channel("u1", "V"),), (Channel("q_a1", "rad", noise),), records, STEP)
+    return Dataset(
+        "link", (Channel("u1", "V"),), (Channel("q_a1", "rad", noise),), records, STEP, signal_share=0.0
+    )
 
 
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
     return Dataset(
-        "soft", (Channel("u1", "V"),), (Channel("q_m1", "rad", NOISE),), (record(1), record(2)), STEP
+        "soft",
+        (Channel("u1", "V"),),
+        (Channel("q_m1", "rad", NOISE),),
+        (record(1), record(2)),
+        STEP,
+        signal_share=0.0,
     )
 
 
 def stiffness(dataset: Dataset, start: System, *, pooled: bool = True, jobs: int = 1) -> list[float]:
     """Stiffness over the rotor's inertia of each set, whose scale nothing identifies."""
-    study = identify(dataset, start, pooled=pooled, horizon=PIECES, signal_share=0.0, jobs=jobs)
+    study = identify(dataset, start, pooled=pooled, horizon=PIECES, jobs=jobs)
     found = [dict(zip(one.names, one.values, strict=True)) for one in study.sets]
     return [float(one["k"] / one["J_m"]) for one in found]
 
@@ -75,7 +82,7 @@ def test_first_states_of_a_hidden_rotor_explain_nothing() -> None:
     """Free in every window, they gave a soft gear a third of what a stiff one leaves where dry friction lacks."""
     stiff = at_the_link(one_link(50.0, vertical=True), NOISE)
     lacking = [build(50.0, friction=Viscous(), vertical=True) for build in (one_link, one_link_flexible)]
-    brief = {"pooled": True, "horizon": PIECES, "signal_share": 0.0, "options": Options(max_iterations=40)}
+    brief = {"pooled": True, "horizon": PIECES, "options": Options(max_iterations=40)}
     sets = [identify(stiff, one, **brief).sets[0] for one in lacking]
     assert sets[0].noise_scale > 3.0 and sets[1].noise_scale > 0.9 * sets[0].noise_scale
 

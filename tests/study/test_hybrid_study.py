@@ -113,8 +113,8 @@ def test_a_machine_that_changes_from_record_to_record_is_said_to() -> None:
         )
         for k, level in enumerate((0.008, 0.012, 0.008, 0.012))
     )  # fmt: skip
-    data = Dataset("drive", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),), made)
+    data = Dataset("drive", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),), made, signal_share=0.0)
     brief = HybridOptions(windows=(), max_iterations=1)
-    study = hybridise(data, model, engine=OdeEngine(fine=4, width=1.0), options=brief, signal_share=0.0)
+    study = hybridise(data, model, engine=OdeEngine(fine=4, width=1.0), options=brief)
     assert study.own < 1.2 and study.pooled > 3.0
     assert any("parameters differ from record to record" in warning for warning in study.warnings)
