@@ -12,11 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import comb, factorial
-from typing import Literal
 
 import numpy as np
 from scipy.fft import dst
-from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from hybrid_id.errors import InputError
 
@@ -97,7 +96,8 @@ def smooth_derivatives(
     chosen = np.zeros(y.shape, np.int8)
     half_windows = [h for h in _HALF_WINDOWS if h <= longest]
     for number, half in enumerate(half_windows):
-        value, gain = _local_polynomial(y, half)
+        value, gain = _local_polynomial(y, half), np.full(n_samples, _gains(half)[half])
+        gain[:half], gain[n_samples - half :] = _gains(half)[:half], _gains(half)[half + 1 :]
         reach = threshold * noise * gain
         np.maximum(lower, value - reach, out=lower)
         np.minimum(upper, value + reach, out=upper)
@@ -110,34 +110,24 @@ def smooth_derivatives(
     ):  # once more, for all of them of a long record fill the memory
         mine = chosen == number
         for d in range(3 if mine.any() else 0):
-            results[d][mine] = _local_polynomial(y, half, d)[0][mine] / step**d
+            results[d][mine] = _local_polynomial(y, half, d)[mine] / step**d
     still = np.ptp(y, axis=-1) == 0.0
     # a speed of rounding alone is a tiny value, which records refuse
     results[0][still], results[1:, still] = y[still], 0.0
     return results[0], results[1], results[2]
 
 
-def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """The d-th derivative per sample (..., T) in windows of 2 half + 1, and its gain of noise (T,)."""
-    n_samples, weights = y.shape[-1], _weights(half, d)
-    fit = convolve1d(y, weights[half][::-1], axis=-1, mode="nearest")
-    fit[..., :half] = y[..., : 2 * half + 1] @ weights[:half].T
-    fit[..., n_samples - half :] = y[..., n_samples - 2 * half - 1 :] @ weights[half + 1 :].T
-    gain = np.full(n_samples, np.linalg.norm(weights[half]))
-    gain[:half] = np.linalg.norm(weights[:half], axis=1)
-    gain[n_samples - half :] = np.linalg.norm(weights[half + 1 :], axis=1)
-    return fit, gain
+def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> np.ndarray:
+    """The d-th derivative per sample (..., T) in windows of 2 half + 1; at the ends those of the first and last one."""
+    from scipy.signal import savgol_filter  # slow to import
+
+    return savgol_filter(y, 2 * half + 1, _DEGREE, deriv=d, axis=-1)
 
 
 @cache
-def _weights(half: int, d: int) -> np.ndarray:
-    """Row k reads the d-th derivative off the polynomial of a window of 2 half + 1 samples at its k-th sample."""
-    offset = np.arange(-half, half + 1)
-    inverse = np.linalg.pinv(np.vander(offset / half, _DEGREE + 1, increasing=True))
-    basis = np.zeros((2 * half + 1, _DEGREE + 1))
-    for power in range(d, _DEGREE + 1):
-        basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
-    return basis @ inverse / half**d
+def _gains(half: int) -> np.ndarray:
+    """Gain of noise of the value at each sample of a window, (2 half + 1,)."""
+    return np.linalg.norm(_local_polynomial(np.eye(2 * half + 1), half), axis=0)
 
 
 _ROLL_OFF = 0.25  # width of the band's soft edges, relative to the edge; a periodic record has sharp ones
@@ -158,7 +148,6 @@ class SpectralResult:
         valid: (..., T) bool; False near the ends of records that do not close on themselves.
         periodic: (...) bool; which records were taken for whole periods.
         band: The frequencies that were kept [Hz].
-        message: What was done to the ends, and which samples are not to be trusted.
     """
 
     position: np.ndarray
@@ -167,7 +156,6 @@ class SpectralResult:
     valid: np.ndarray
     periodic: np.ndarray
     band: tuple[float, float]
-    message: str
 
 
 def differentiate(
@@ -175,19 +163,17 @@ def differentiate(
     sample_time: float,
     *,
     band: tuple[float, float] | None = None,
-    periodic: bool | Literal["auto"] = "auto",
 ) -> SpectralResult:
     """Filters and differentiates: DFT, unwanted frequencies dropped, times jω, inverse DFT.
 
-    Differs from the paper by the treatment of records that do not hold a whole number of periods.
+    Differs from the paper by the treatment of records that do not hold a whole number of periods: those with a step in
+    value or slope, beyond the noise, at the seam where the last samples would be followed by the first ones.
 
     Args:
         y: Samples (..., T), uniform in time.
         sample_time: [s].
         band: Lowest and highest frequency to keep [Hz]. A lowest frequency above 0 takes mean and trend away.
             By default from 0 to where the spectrum sinks into its noise floor.
-        periodic: Whether the record is a whole number of periods; "auto" looks at the seam, where the last
-            samples would be followed by the first ones: no step in value and slope beyond the noise.
 
     Raises:
         InputError: Too few samples, or a band that the sample time cannot hold.
@@ -205,25 +191,19 @@ def differentiate(
         )
 
     cycle = 1 / (highest * sample_time)  # samples per period of the highest frequency
-    if periodic == "auto":
-        seam_cycle = 1 / (max(highest, edge) * sample_time)  # tones above the band must not look like a step
-        # whether there is no step in value and slope at the seam (...); the steps (2,), largest of all records
-        window = int(np.clip(_SEAM_WINDOW * seam_cycle, 8, n_samples // 2))
-        around = np.concatenate([y[..., -window:], y[..., :window]], axis=-1)
-        k = (np.arange(2 * window) - window + 0.5) / window
-        design = np.column_stack([np.vander(k, 6), k > 0, np.maximum(k, 0)])
-        inverse = np.linalg.pinv(design)
-        coefficients = around @ inverse.T
-        noise = np.sum((around - coefficients @ design.T) ** 2, axis=-1) / (2 * window - design.shape[1])
-        step = np.abs(coefficients[..., -2:])
-        error = np.sqrt(noise)[..., None] * np.linalg.norm(inverse[-2:], axis=1)
-        harmless = _NEGLIGIBLE * np.stack([np.std(y, axis=-1), window * np.std(np.diff(y), axis=-1)], axis=-1)
-        whole, steps = (
-            np.all(step <= _STANDARD_ERRORS * error + harmless, axis=-1),
-            step.reshape(-1, 2).max(axis=0),
-        )
-    else:
-        whole, steps = np.full(y.shape[:-1], periodic), np.full(2, np.nan)
+    seam_cycle = 1 / (max(highest, edge) * sample_time)  # tones above the band must not look like a step
+    # whether there is no step in value and slope at the seam (...)
+    window = int(np.clip(_SEAM_WINDOW * seam_cycle, 8, n_samples // 2))
+    around = np.concatenate([y[..., -window:], y[..., :window]], axis=-1)
+    k = (np.arange(2 * window) - window + 0.5) / window
+    design = np.column_stack([np.vander(k, 6), k > 0, np.maximum(k, 0)])
+    inverse = np.linalg.pinv(design)
+    coefficients = around @ inverse.T
+    noise = np.sum((around - coefficients @ design.T) ** 2, axis=-1) / (2 * window - design.shape[1])
+    step = np.abs(coefficients[..., -2:])
+    error = np.sqrt(noise)[..., None] * np.linalg.norm(inverse[-2:], axis=1)
+    harmless = _NEGLIGIBLE * np.stack([np.std(y, axis=-1), window * np.std(np.diff(y), axis=-1)], axis=-1)
+    whole = np.all(step <= _STANDARD_ERRORS * error + harmless, axis=-1)
     # value, slope and curvature one sample after the end, less those at the start (3, ...)
     window = int(np.clip(_END_WINDOW * cycle, 8, n_samples // 2))
     length = (window - 1) * sample_time
@@ -258,16 +238,8 @@ def differentiate(
     if lowest > 0:
         margin = min(max(margin, int(np.ceil(1 / (lowest * sample_time)))), n_samples // 2)
     inside = (np.arange(n_samples) >= margin) & (np.arange(n_samples) < n_samples - margin)
-    message = "the record is a whole number of periods; every sample is valid"
-    if not np.all(whole):
-        seen = f" (steps up to {steps[0]:.2g} in value)" if np.isfinite(steps[0]) else ""
-        message = (
-            f"{np.size(whole) - np.sum(whole)} of {np.size(whole)} records do not close on themselves{seen}; a cubic "
-            "trend that carries the steps was differentiated apart, and the first and last "
-            f"{margin} samples ({margin * sample_time:.3g} s) are not to be trusted"
-        )
     valid = whole[..., None] | inside
-    return SpectralResult(*derivatives, valid=valid, periodic=whole, band=(lowest, highest), message=message)
+    return SpectralResult(*derivatives, valid=valid, periodic=whole, band=(lowest, highest))
 
 
 def _low_pass(frequency: np.ndarray, edge: float, roll_off: float) -> np.ndarray:

@@ -29,7 +29,6 @@ def test_whole_periods_are_exact_and_all_valid():
     result = differentiate(sine(1.2)[0], STEP, band=(0, 10))
     assert result.periodic
     assert np.all(result.valid)
-    assert "every sample is valid" in result.message
     assert relative_errors(result, sine(1.2)).max() < 1e-12
 
 
@@ -37,7 +36,6 @@ def test_part_of_a_period_is_recognised_and_said():
     truth = sine(1.237)
     result = differentiate(truth[0], STEP, band=(0, 10))
     assert not result.periodic
-    assert "not to be trusted" in result.message and "0.2 s" in result.message
     np.testing.assert_array_equal(np.flatnonzero(~result.valid), np.r_[:100, 4900:5000])
     assert np.all(relative_errors(result, truth, result.valid) < [1e-4, 1e-3, 2e-3])
 
@@ -71,7 +69,7 @@ def test_out_of_band_tones_are_dropped_exactly_from_a_periodic_record():
 def test_noise_that_remains_is_the_share_of_the_band(rng):
     noise = 1e-2 * rng.standard_normal((40, TIME.size))
     truth = sine(1.2)
-    result = differentiate(truth[0] + noise, STEP, band=(0, 10), periodic=True)
+    result = differentiate(truth[0] + noise, STEP, band=(0, 10))
     share = 2 * 10 * STEP
     speed_gain = 2 * np.pi * 10 / np.sqrt(3)
     assert np.std(result.position - truth[0]) == pytest.approx(1e-2 * np.sqrt(share), rel=0.05)
@@ -98,7 +96,6 @@ def test_batch_equals_loop_and_each_record_is_judged_by_itself():
     y = np.stack([sine(1.2)[0], sine(1.237)[0]])
     together = differentiate(y, STEP, band=(0, 10))
     np.testing.assert_array_equal(together.periodic, [True, False])
-    assert together.message.startswith("1 of 2")
     for row in range(2):
         alone = differentiate(y[row], STEP, band=(0, 10))
         np.testing.assert_allclose(together.acceleration[row], alone.acceleration, atol=1e-9)
