@@ -174,7 +174,7 @@ class Dataset:
         """
         from hybrid_id.records.dataset_file import load_dataset  # brings in pydantic and yaml, only here
 
-        return Dataset(*load_dataset(Path(path), None if folder is None else Path(folder)))
+        return Dataset(**load_dataset(Path(path), None if folder is None else Path(folder)))
 
     def save(self, path: str | Path) -> Path:
         """Write the dataset as a folder of `dataset.yaml` and one `.csv.gz` a record; returns the folder.

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,21 +28,8 @@ AROUND = 0.1
 """Share of the part of a file that is kept by which it is read beyond, where channels are brought to one another."""
 
 
-class Content(NamedTuple):
-    """What a `Dataset` is made of, in the order of its fields; `Dataset` documents them."""
-
-    name: str
-    inputs: tuple[Channel, ...]
-    outputs: tuple[Channel, ...]
-    records: tuple[Record, ...]
-    sample_time: float | None
-    path: Path
-    resampling: tuple[ResampleReport, ...]
-    cut_beyond: dict[str, str]
-
-
-def load_dataset(path: Path, folder: Path | None) -> Content:
-    """Read a dataset; `Dataset.load` documents the arguments."""
+def load_dataset(path: Path, folder: Path | None) -> dict[str, Any]:
+    """Arguments of a `Dataset`; `Dataset.load` documents those of this function."""
     file = path / FILE_NAME if path.is_dir() else path
     if path.is_dir() and not file.exists():
         found = sorted(item.name for item in path.iterdir() if item.is_file())
@@ -85,7 +72,7 @@ def write_dataset(dataset: "Dataset", folder: Path) -> None:
     write_yaml(folder / FILE_NAME, plain(values) | {"records": entries})
 
 
-def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
+def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> dict[str, Any]:
     """Read all records of a checked dataset file."""
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
     # a column map names channels, in units that fit them
@@ -150,7 +137,10 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
         sample_time, records, reports = resampled(records, spec.resample, sample_time)
     elif "sample_time" not in spec.model_fields_set:
         sample_time = common_sample_time(records)
-    return Content(spec.name, inputs, outputs, records, sample_time, path, reports, beyond)
+    return {
+        "name": spec.name, "inputs": inputs, "outputs": outputs, "records": records, "sample_time": sample_time,
+        "path": path, "resampling": reports, "cut_beyond": beyond,
+    }  # fmt: skip
 
 
 def common_sample_time(records: tuple[Record, ...]) -> float | None:

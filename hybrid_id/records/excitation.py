@@ -32,7 +32,7 @@ class Multisine:
         offset: Middle of the amplitude limits.
         period: The signal repeats after this time [s].
         crest_factor: Peak / RMS of the alternating part; the peak is a bound for all times.
-        peak, predicted_peaks: That bound on |u - offset|, and on each predicted response.
+        peak: That bound on |u - offset|.
         message: What was designed, and what limited the amplitude.
     """
 
@@ -45,7 +45,6 @@ class Multisine:
     period: float
     crest_factor: float
     peak: float
-    predicted_peaks: tuple[float, ...]
     message: str
 
     def at(self, time: np.ndarray, derivative: int = 0) -> np.ndarray:
@@ -142,7 +141,6 @@ def design_multisine(
         period=float(period / np.gcd.reduce(harmonics)),
         crest_factor=crest_factor,
         peak=scale * crest_factor,
-        predicted_peaks=tuple(scale * peaks[1:] * limits[1:]),
         message=f"{len(harmonics)} tones from {tone_frequencies[0]:.4g} to {tone_frequencies[-1]:.4g} Hz, "
         f"crest factor {crest_factor:.3f}, amplitude set by {limited_by}",
     )

@@ -28,50 +28,17 @@ MOST = 1000  # new samples for each old one: more are a slip of the step, and fi
 
 @dataclass(frozen=True)
 class ResampleReport:
-    """What resampling found and did to one record.
+    """What resampling did to one record.
 
     Attributes:
         record: Name of the record.
-        sample_time: New step (s).
-        n_in: Number of samples before, and `n_out` after.
-        median_step: Median, `min_step` least and `max_step` greatest step of the stamps (s).
-        jitter: Standard deviation of the steps over the median step.
-        gaps: (time, length) of every gap that was bridged (s).
-        lost: Output -> RMS of what the new grid does not carry, in the output's unit.
-        changed: False when the stamps already lay on the grid, so that nothing was touched.
+        message: What was found and done, in words.
+        lost: Output -> RMS of what the new grid does not carry, in the output's unit; empty where nothing was touched.
     """
 
     record: str
-    sample_time: float
-    n_in: int
-    n_out: int
-    median_step: float
-    min_step: float
-    max_step: float
-    jitter: float
-    gaps: tuple[tuple[float, float], ...]
+    message: str
     lost: Mapping[str, float]
-    changed: bool
-
-    @property
-    def message(self) -> str:
-        """The report in words, for `check`."""
-        if not self.changed:
-            return f"{self.record}: already uniform at {1e3 * self.sample_time:.4g} ms, left as it is"
-        words = (
-            f"{self.record}: resampled from {self.n_in} samples (step {1e3 * self.min_step:.4g} to "
-            f"{1e3 * self.max_step:.4g} ms, median {1e3 * self.median_step:.4g} ms, jitter {self.jitter:.1%}) "
-            f"to {self.n_out} at {1e3 * self.sample_time:.4g} ms"
-        )
-        if self.lost:
-            words += "; lost between the new samples (RMS): " + ", ".join(
-                f"{name} {rms:.2g}" for name, rms in self.lost.items()
-            )
-        if self.gaps:
-            words += "; bridged gaps at " + ", ".join(
-                f"{stamp(t)} s ({1e3 * d:.3g} ms)" for t, d in self.gaps
-            )
-        return words
 
 
 def find_gaps(record: Record, max_gap: float = MAX_GAP) -> tuple[tuple[float, float], ...]:
@@ -157,21 +124,21 @@ def resample_record(
     for name, values in record.outputs.items() if changed else ():
         between = values - np.interp(record.time, new.time, new.outputs[name])
         lost[name] = float(np.sqrt(np.mean(between[common] ** 2)))
+    if not changed:
+        words = f"{record.name}: already uniform at {1e3 * step:.4g} ms, left as it is"
+        return record, ResampleReport(record.name, words, lost)
     steps = np.diff(record.time)
-    report = ResampleReport(
-        record=record.name,
-        sample_time=step,
-        n_in=record.n_samples,
-        n_out=n_out,
-        median_step=record.sample_time,
-        min_step=float(steps.min()),
-        max_step=float(steps.max()),
-        jitter=float(steps.std() / record.sample_time),
-        gaps=find_gaps(record),
-        lost=lost,
-        changed=changed,
+    words = (
+        f"{record.name}: resampled from {record.n_samples} samples (step {1e3 * steps.min():.4g} to "
+        f"{1e3 * steps.max():.4g} ms, median {1e3 * record.sample_time:.4g} ms, jitter "
+        f"{steps.std() / record.sample_time:.1%}) to {n_out} at {1e3 * step:.4g} ms"
     )
-    return new, report
+    if lost:
+        parts = (f"{name} {rms:.2g}" for name, rms in lost.items())
+        words += f"; lost between the new samples (RMS): {', '.join(parts)}"
+    if gaps := find_gaps(record):
+        words += f"; bridged gaps at {', '.join(f'{stamp(t)} s ({1e3 * d:.3g} ms)' for t, d in gaps)}"
+    return new, ResampleReport(record.name, words, lost)
 
 
 def _read_off(record: Record, name: str, instants: np.ndarray, step: float) -> np.ndarray:

@@ -75,7 +75,7 @@ def whole_regressor(tree: RigidBodyTree, q: np.ndarray, v: np.ndarray, a: np.nda
     return found.reshape(len(q), n, n * (each + 1))
 
 
-def base_parameters(tree: RigidBodyTree, seed: int = 0) -> BaseParameters:
+def base_parameters(tree: RigidBodyTree) -> BaseParameters:
     """The combinations of inertial parameters that the torques of a robot depend on, its rotors included.
 
     From W at random states within the joints' limits: a column that depends linearly on earlier ones joins them. The
@@ -86,9 +86,8 @@ def base_parameters(tree: RigidBodyTree, seed: int = 0) -> BaseParameters:
 
     Args:
         tree: of the robot.
-        seed: of the states.
     """
-    n, rng = len(tree.joints), np.random.default_rng(seed)
+    n, rng = len(tree.joints), np.random.default_rng(0)
     low, high = np.array([_reach(*joint.limits) for joint in tree.joints]).T
     count = STATES * (len(TEN) + 1)
     q = rng.uniform(low, high, (count, n))

@@ -49,7 +49,6 @@ class Identifiability:
     Attributes:
         names: Parameters (p).
         condition_number: Of the Jacobian with respect to ln θ, records alone; inf where a direction is null.
-        singular_values: Of that Jacobian (p,), descending: 1 / relative standard error along each direction.
         directions: What the records alone do not identify.
         relative_std: Predicted relative standard error of each parameter, prior included (p,); inf if none.
         claimable: (p,) bool; whether an interval of the parameter on its own may be claimed.
@@ -60,7 +59,6 @@ class Identifiability:
 
     names: tuple[str, ...]
     condition_number: float
-    singular_values: np.ndarray
     directions: tuple[Direction, ...]
     relative_std: np.ndarray
     claimable: np.ndarray
@@ -174,7 +172,6 @@ def identifiability(
     return Identifiability(
         names=tuple(names),
         condition_number=float("inf") if null.any() else float(singular[0] / singular[-1]),
-        singular_values=singular,
         directions=tuple(directions),
         relative_std=relative_std,
         claimable=relative_std < VAGUE,

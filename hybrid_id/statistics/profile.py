@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+MOST_STEPS = 10
+"""Steps to each side; they double, so that 10 reach 1000 standard errors."""
 CostAt = Callable[[float, np.ndarray], tuple[float, np.ndarray]]
 
 
@@ -42,7 +44,6 @@ def profile_likelihood(
     noise_variance: float = 1.0,
     level: float = 0.95,
     bounds: tuple[float, float] = (-np.inf, np.inf),
-    max_steps: int = 10,
 ) -> Profile:
     """Walks from the estimate to both sides until the cost has risen by ``s² χ²_1(level)``.
 
@@ -59,7 +60,6 @@ def profile_likelihood(
         noise_variance: s² of the weighted residuals; inflate it where they are autocorrelated.
         level: Confidence.
         bounds: Range of the parameter.
-        max_steps: Steps to each side; they double, so that 10 reach 1000 standard errors.
     """
     threshold = minimum + noise_variance * float(ndtri(0.5 + level / 2)) ** 2
     points = {float(estimate[index]): minimum}
@@ -72,7 +72,7 @@ def profile_likelihood(
         """End of the interval on one side, and whether the threshold was reached there."""
         start = np.asarray(estimate, float)
         inner, inner_rise = float(start[index]), rise(minimum)
-        for _ in range(max_steps):
+        for _ in range(MOST_STEPS):
             outer = float(np.clip(inner + step, min(bound, inner), max(bound, inner)))
             cost, parameters = cost_at(outer, start)
             points[outer] = cost

@@ -35,14 +35,13 @@ class Whiteness:
     outside: np.ndarray
 
 
-def whiteness(residual: Sequence[np.ndarray], *, lags: int = LAGS) -> Whiteness:
-    """Autocorrelation ``R(k) = Σ r_t r_{t+k} / Σ r_t²`` and the band of white residuals.
+def whiteness(residual: Sequence[np.ndarray]) -> Whiteness:
+    """Autocorrelation ``R(k) = Σ r_t r_{t+k} / Σ r_t²``, at lags up to a quarter of the shortest record, and its band.
 
     Args:
         residual: weighted residuals of each record, (T, n_y).
-        lags: greatest lag; at most a quarter of the shortest record.
     """
-    lags = max(1, min(lags, min(len(r) for r in residual) // 4))
+    lags = max(1, min(LAGS, min(len(r) for r in residual) // 4))
     total = np.zeros((lags + 1, residual[0].shape[1]))
     for r in residual:
         for k in range(lags + 1):

@@ -58,7 +58,6 @@ def covariance(
     residual: Arrays,
     *,
     prior_precision: np.ndarray | None = None,
-    noise_variance: float | None = None,
 ) -> Covariance:
     """``A (s² JᵀJ + P) A``: right where residuals are white and the model is; ``s² (JᵀJ)⁻¹`` without a prior.
 
@@ -66,10 +65,9 @@ def covariance(
         jacobian: Weighted Jacobian of one record or of several.
         residual: Weighted residuals alike.
         prior_precision: P, inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
-        noise_variance: s², where it is known; ``Σr² / (N - p)`` otherwise.
     """
     records, _, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
-    variance = noise_variance_of(records) if noise_variance is None else noise_variance
+    variance = noise_variance_of(records)
     # the same, without cancellation where there is no prior
     matrix = variance * inverse + (1.0 - variance) * inverse @ prior @ inverse
     return Covariance(matrix, _std_error(matrix, determined), variance, "plain", 0, inverse)

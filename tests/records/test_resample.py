@@ -22,7 +22,6 @@ def test_uniform_record_is_left_as_it_is(n: int, step: float, start: float) -> N
     record = Record("a", time, {"u1": np.cos(time)}, {"q_m1": np.sin(time)})
     new, report = resample_record(record, step)
     assert new is record
-    assert not report.changed
     assert "left as it is" in report.message
 
 
@@ -36,8 +35,6 @@ def test_outputs_follow_the_signal_and_inputs_keep_their_impulse(rng) -> None:
     assert kept == pytest.approx(held, abs=2 * 0.01)  # but for the last sample's share
     np.testing.assert_array_equal(new.inputs["gain1"], 0.1)
     assert set(new.inputs["enable1"]) == {0.0, 1.0}
-    assert report.n_in == 400
-    assert 0.05 < report.jitter < 0.25
     assert report.lost["q_m1"] < 1e-3
 
 
@@ -100,7 +97,6 @@ def test_gaps_are_refused_or_reported(rng) -> None:
     with pytest.raises(InputError, match="samples are missing for"):
         resample_record(record)
     _, report = resample_record(record, max_gap=10)
-    assert len(report.gaps) == 1
     assert "bridged gaps" in report.message
 
 

@@ -24,7 +24,7 @@ def test_parabola_gives_the_normal_interval():
 def test_asymmetric_cost_gives_an_asymmetric_interval_from_any_step(step):
     profile = profile_likelihood(
         lambda v, start: (10 * np.log(v) ** 2, start), np.array([1.0]), 0, minimum=0, step=step,
-        bounds=(1e-9, np.inf), max_steps=14,
+        bounds=(1e-9, np.inf),
     )  # fmt: skip
     reach = np.exp(1.959964 / np.sqrt(10))
     assert profile.lower == pytest.approx(1 / reach, rel=1e-3)
