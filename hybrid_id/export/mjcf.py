@@ -21,33 +21,27 @@ from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
 STEP = 0.25e-3
-"""MuJoCo's time step [s]."""
+"""MuJoCo's time step [s]; a robot's description keeps its own."""
 HINGE = {"type": "hinge", "axis": "0 0 1"}
 
 
-def to_mjcf(system: System, *, step: float | None = None) -> Mjcf:
+def to_mjcf(system: System) -> Mjcf:
     """The system at its present values as an MJCF document; a robot's is its own description with the drives put in.
-
-    Args:
-        system: the system.
-        step: time step [s]; by default 0.25 ms, and in a robot's description the one that stands there.
 
     Raises:
         InputError: no two bodies have the inertias of the model, or a robot's description cannot be edited.
     """
-    return (
-        _Document(system, step or STEP).build() if system.tree is None else edited(system, system.tree, step)
-    )
+    return _Document(system).build() if system.tree is None else edited(system, system.tree)
 
 
 class _Document(Drives):
     """One system on its way into a document."""
 
-    def __init__(self, system: System, step: float) -> None:
-        super().__init__(system, step)
+    def __init__(self, system: System) -> None:
+        super().__init__(system, STEP)
         self.root = ET.Element("mujoco", model=system.name)
         ET.SubElement(self.root, "compiler", angle="radian", inertiafromgeom="false")
-        option = {"timestep": number(step), "gravity": f"0 0 {-G}", "integrator": "implicitfast"}
+        option = {"timestep": number(STEP), "gravity": f"0 0 {-G}", "integrator": "implicitfast"}
         ET.SubElement(self.root, "option", option)
         self.world, self.tendons, self.actuators, self.sensors = (
             ET.SubElement(self.root, tag) for tag in ("worldbody", "tendon", "actuator", "sensor")

@@ -45,13 +45,12 @@ _PLAIN |= {what: "0" for what in ("damping", "armature", "delay", "nsample", "in
 """What an actuator of that class is where its element does not say otherwise."""
 
 
-def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mjcf:
+def edited(system: System, tree: RigidBodyTree) -> Mjcf:
     """The description that a robot was read from, with the system's drives at its joints.
 
     Args:
         system: the system at the values to export.
         tree: its tree.
-        step: time step [s] to set; the file's own by default.
 
     Raises:
         InputError: the robot was read from no file, or a joint stands in a file that it includes.
@@ -74,7 +73,7 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
         except ValueError as error:  # of a link without an inertia, say
             words = ", ".join(str(error).splitlines()[:2])
             raise InputError(f"{path}: MuJoCo makes no MJCF of it ({words}); mend it there.") from None
-    exported = _Edit(system, tree, path, text, spec, step).build(converted=converted)
+    exported = _Edit(system, tree, path, text, spec).build(converted=converted)
     try:
         mujoco_model(exported)
     except ValueError as error:
@@ -226,15 +225,13 @@ class _Text:
 class _Edit(Drives):
     """One system on its way into its robot's description."""
 
-    def __init__(
-        self, system: System, tree: RigidBodyTree, path: Path, text: str, spec: Any, step: float | None
-    ) -> None:
+    def __init__(self, system: System, tree: RigidBodyTree, path: Path, text: str, spec: Any) -> None:
         self.model = compiled(path, spec)
-        super().__init__(system, step or float(self.model.opt.timestep))
+        super().__init__(system, float(self.model.opt.timestep))
         self.tree, self.path = tree, path
         # MuJoCo makes a damping of these ratios by the inertia, which the drives change
         self.damping_ratios = {one.id for one in spec.actuators if one.biasprm[2] > 0.0}
-        self.text, self.set_step, self.own_class = _Text(text), step is not None, False
+        self.text, self.own_class = _Text(text), False
         self.elements = [*self.text.elements]
         for included in _included(text, path.parent).values():
             self.elements += _Text(included.decode("utf-8")).elements
@@ -368,7 +365,7 @@ class _Edit(Drives):
         return None if body is None or "name" in body.values else body
 
     def _sections(self, notes: list[str]) -> None:
-        """What stands beside the joints: new actuators, the time step, and what is left out as a comment."""
+        """What stands beside the joints: new actuators, and what is left out as a comment."""
         root, top = self.text.elements[-1], (self.text.root,)
         words = [f"hybrid_id {__version__}: drives of {', '.join(self.tree.names)}", *notes]
         lines = [f"<!-- {'; '.join(words).replace('--', '- -')} -->"]
@@ -383,8 +380,6 @@ class _Edit(Drives):
             lines += ["<actuator>", *(f"  {line}" for line in self.added), "</actuator>"]
         if self.shafts:
             lines += ["<tendon>", *(f"  {line}" for line in self.shafts), "</tendon>"]
-        if self.set_step:
-            lines.append(f'<option timestep="{number(self.step)}"/>')
         if self.system.arm.tilts:
             pull = self.tree.falling(self.system.arm.gravity(self.p)).gravity
             lines.append(_written("option", {"gravity": numbers(pull)}))
