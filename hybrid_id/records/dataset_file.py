@@ -8,11 +8,10 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.reading import refuse_outside
-from hybrid_id.records.align import bring_to
 from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, TimeRange, format_of, is_bag_folder, load_any, record_name
 from hybrid_id.records.record import Channel, Record, find_fault, keeps_step, stamp
-from hybrid_id.records.resample import MAX_GAP, ResampleReport, resample_record, shift_channels
+from hybrid_id.records.resample import MAX_GAP, ResampleReport, bring_to, resample_record, shift_channels
 from hybrid_id.records.schema import ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
 from hybrid_id.records.units import number_of, to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml

@@ -121,7 +121,7 @@ def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> np.ndarray:
     """The d-th derivative per sample (..., T) in windows of 2 half + 1; at the ends those of the first and last one."""
     from scipy.signal import savgol_filter  # slow to import
 
-    return savgol_filter(y, 2 * half + 1, _DEGREE, deriv=d, axis=-1)
+    return np.asarray(savgol_filter(y, 2 * half + 1, _DEGREE, deriv=d, axis=-1))
 
 
 @cache
