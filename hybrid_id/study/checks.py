@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -17,8 +17,8 @@ from hybrid_id.identification.least_squares import Options, free_parameters
 from hybrid_id.identification.objective import evaluate
 from hybrid_id.identification.result import FitResult, sensitivities
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.measures import less_half_a_count, sensor_noise
-from hybrid_id.records.quality import Finding, check_encoders
+from hybrid_id.records.measures import estimate_noise, less_half_a_count, sensor_noise
+from hybrid_id.records.quality import Finding
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.stability import with_substeps
@@ -32,6 +32,12 @@ from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
+OFF, WRONG = 0.02, 0.2
+"""Relative difference between the records' ratio and the model's that is said, and from which no fit means anything."""
+ONE_GEAR = 0.8
+"""Correlation below which two angles hardly belong to one gear, unless it is very soft."""
+MOVES = 20.0
+"""Standard deviation of an angle over its noise from which it moves."""
 REFERENCES = ("P_m1", "k_t", "P_m1m1", "P_m1m2")
 """Parameters by which identifiable combinations are divided, where the model has them."""
 FROM_PRIOR = 6.0
@@ -108,9 +114,46 @@ def check_scales(dataset: Dataset, system: System) -> list[Finding]:
     With an error among them, what the model would do means nothing.
     """
     ratios = {joint.number: ratio for joint, ratio in zip(system.joints, system.own_ratios, strict=True)}
-    every = [ratios.get(number) for number in range(1, max(ratios) + 1)]
-    found = [*check_encoders(dataset, every), *_spans(dataset, system), *_commands(dataset, system)]
+    found = [*check_encoders(dataset, ratios), *_spans(dataset, system), *_commands(dataset, system)]
     return [*found, *_goals(dataset, system)]
+
+
+def check_encoders(dataset: Dataset, gear_ratio: Mapping[int, float | None]) -> Iterator[Finding]:
+    """Findings of joints whose motor's angle is not the gear ratio times the link's, over all records.
+
+    Play, compliance and errors of the gear change the angles for a while and not their ratio.
+
+    Args:
+        dataset: records; a joint counts that has ``q_m`` and ``q_a``.
+        gear_ratio: by the joint's number; None where a motor turns with other joints, too.
+    """
+    names = {channel.name for channel in dataset.outputs}
+    for n, ratio in gear_ratio.items():
+        motor, link = f"q_m{n}", f"q_a{n}"
+        if ratio is None or not {motor, link} <= names:
+            continue
+        pairs = _centred([(r.outputs[motor], r.outputs[link]) for r in dataset])
+        moved = [np.concatenate(side).std() for side in zip(*pairs, strict=True)]
+        noise = [max(estimate_noise(r.outputs[name]) for r in dataset) for name in (motor, link)]
+        if any(size <= MOVES * max(still, 1e-300) for size, still in zip(moved, noise, strict=True)):
+            continue  # noise has no ratio
+        together = _alike(pairs)
+        seen = float(moved[0] / moved[1]) * (1.0 if together > 0 else -1.0)
+        if abs(together) < ONE_GEAR:
+            words = (
+                f"joint {n}: {motor} and {link} hardly move together (correlation {together:.2f}); {link} is to be the "
+                "angle between this link and the one before it"
+            )
+        elif abs(seen / ratio - 1.0) > OFF:
+            words = (
+                f"joint {n}: {motor} moves {seen:.4g} times {link} in the records, but the model's gear ratio is "
+                f"{ratio:.4g}; correct gear_ratio, or unit or sign of one of them"
+                + (f"; {link} is to be the angle against the link before" if n > 1 else "")
+            )
+        else:
+            continue
+        grave = abs(together) >= ONE_GEAR and abs(seen / ratio - 1.0) > WRONG
+        yield Finding("error" if grave else "warning", "gear_ratio", words, channel=link)
 
 
 def _goals(dataset: Dataset, system: System) -> Iterator[Finding]:

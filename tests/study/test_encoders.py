@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.quality import check_encoders
+from hybrid_id.records.quality import Finding
 from hybrid_id.records.record import Record
+from hybrid_id.study.checks import check_encoders
 
 TIME = 0.002 * np.arange(3000)
 LINK = 0.4 * np.sin(5 * TIME) + 0.1 * np.sin(17 * TIME)
@@ -25,9 +26,13 @@ def dataset(**changes: np.ndarray) -> Dataset:
     return Dataset("two", inputs, tuple(Channel(n, "rad") for n in records[0].outputs), tuple(records), 0.002)
 
 
+def checked(data: Dataset, ratios: tuple[float, float]) -> list[Finding]:
+    return list(check_encoders(data, dict(enumerate(ratios, 1))))
+
+
 def test_a_right_gear_is_silent() -> None:
-    assert check_encoders(dataset(), RATIOS) == []
-    assert check_encoders(dataset(q_m1=100 * LINK + 0.5 * np.sign(np.cos(5 * TIME))), RATIOS) == []
+    assert checked(dataset(), RATIOS) == []
+    assert checked(dataset(q_m1=100 * LINK + 0.5 * np.sign(np.cos(5 * TIME))), RATIOS) == []
 
 
 @pytest.mark.parametrize(
@@ -42,25 +47,25 @@ def test_a_right_gear_is_silent() -> None:
     ],
 )
 def test_a_wrong_ratio_means_nothing_can_be_fitted(ratios: tuple[float, float], words: str) -> None:
-    (found,) = check_encoders(dataset(), ratios)
+    (found,) = checked(dataset(), ratios)
     assert found.severity == "error" and found.message.startswith(words)
 
 
 def test_a_small_difference_is_a_warning() -> None:
-    (found,) = check_encoders(dataset(), (104.0, 80.0))
+    (found,) = checked(dataset(), (104.0, 80.0))
     assert found.severity == "warning" and "q_m1 moves 100 times q_a1" in found.message
 
 
 def test_degrees_for_radians_and_a_link_counted_from_the_base() -> None:
-    (degrees,) = check_encoders(dataset(q_a2=28.6 * LINK[::-1]), RATIOS)
+    (degrees,) = checked(dataset(q_a2=28.6 * LINK[::-1]), RATIOS)
     assert degrees.severity == "error" and "moves 1.399 times q_a2" in degrees.message
-    (base,) = check_encoders(dataset(q_a2=0.5 * LINK[::-1] + 2 * LINK), RATIOS)
+    (base,) = checked(dataset(q_a2=0.5 * LINK[::-1] + 2 * LINK), RATIOS)
     assert base.severity == "warning" and "the angle between this link and the one before it" in base.message
 
 
 def test_a_joint_that_stands_or_has_one_encoder_has_no_ratio() -> None:
     still = np.zeros_like(TIME)
-    assert check_encoders(dataset(q_a2=still, q_m2=still), (100.0, 5.0)) == []
+    assert checked(dataset(q_a2=still, q_m2=still), (100.0, 5.0)) == []
     records = tuple(replace(r, outputs={"q_m1": r.outputs["q_m1"]}) for r in dataset())
     one = Dataset("one", dataset().inputs, (Channel("q_m1", "rad"),), records, 0.002)
-    assert check_encoders(one, (5.0, 80.0)) == []
+    assert checked(one, (5.0, 80.0)) == []
