@@ -15,27 +15,17 @@ from hybrid_id.records.readers.npz import npz_names, read_npz
 from hybrid_id.records.readers.parquet import parquet_names, read_parquet
 from hybrid_id.records.readers.table import Table, TimeRange, record_name, refuse_excess
 
-READERS: dict[str, Callable[..., Table]] = {
-    "csv": read_csv,
-    "parquet": read_parquet,
-    "mat": read_mat,
-    "bam": read_bam,
-    "bag": read_bag,
-    "npz": read_npz,
-    "lerobot": read_lerobot,
+READERS: dict[str, tuple[Callable[..., Table], Callable[[Path], list[str]], tuple[str, ...]]] = {
+    "csv": (read_csv, csv_names, (".csv", ".tsv", ".txt")),
+    "parquet": (read_parquet, parquet_names, (".parquet",)),
+    "mat": (read_mat, mat_names, (".mat",)),
+    "bam": (read_bam, bam_names, (".json",)),
+    "bag": (read_bag, bag_names, (".bag", ".mcap", ".db3")),
+    "npz": (read_npz, npz_names, (".npz",)),
+    "lerobot": (read_lerobot, lerobot_names, ()),
 }
-_NAMES: dict[str, Callable[[Path], list[str]]] = {
-    "csv": csv_names,
-    "parquet": parquet_names,
-    "mat": mat_names,
-    "bam": bam_names,
-    "bag": bag_names,
-    "npz": npz_names,
-    "lerobot": lerobot_names,
-}
+"""Of each format what reads a file, what names its columns, and the endings of its files."""
 _IN_PIECES = ("csv", "parquet")
-_ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
-_ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag", ".npz": "npz"}
 
 __all__ = [
     "READERS",
@@ -53,7 +43,9 @@ __all__ = [
 
 def format_of(path: Path) -> str | None:
     """The format of a file by its ending, or of a bag's folder; None where nothing reads it."""
-    return "bag" if is_bag_folder(path) else _ENDINGS.get(_ending(path))
+    if is_bag_folder(path):
+        return "bag"
+    return next((name for name, (*_, endings) in READERS.items() if _ending(path) in endings), None)
 
 
 def _ending(path: Path) -> str:
@@ -67,7 +59,7 @@ def column_names(path: Path, file_format: str) -> list[str]:
         InputError: when the file is missing or damaged.
     """
     with _reaching(path, file_format, "the path"):
-        names = _NAMES[file_format](path)
+        names = READERS[file_format][1](path)
         refuse_excess(path, names)
         return names
 
@@ -106,11 +98,8 @@ def load_any(
             f"{path}: 'episode' chooses a part of a LeRobot dataset; give 'format: lerobot' or remove it"
         )
     with _reaching(path, file_format, "'file'"):
-        if time_range is not None and file_format in _IN_PIECES:
-            return READERS[file_format](path, wanted, time_range)
-        if episode is not None:
-            return READERS[file_format](path, wanted, episode)
-        return READERS[file_format](path, wanted)
+        part = episode if file_format not in _IN_PIECES else time_range
+        return READERS[file_format][0](path, wanted, *(() if part is None else (part,)))
 
 
 @contextmanager

@@ -18,7 +18,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.reading import read_json
-from hybrid_id.records.readers.parquet import open_parquet
+from hybrid_id.records.readers.parquet import is_number, open_parquet
 from hybrid_id.records.readers.table import PIECE, Table, parsing, require_columns
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _numbers(
 
     for name in schema.names:
         kind = schema.field(name).type
-        if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+        if is_number(kind):
             yield name, None
             continue
         vector = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
@@ -199,7 +199,7 @@ def _matrix(path: Path, column: "pa.Array", name: str) -> np.ndarray:
 
     vectors = isinstance(column, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray)
     kind = column.type.value_type if vectors else column.type
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+    if not is_number(kind):
         raise InputError(f"{path}: column '{name}' is of type {str(column.type)[:60]}; write it as numbers")
     if not vectors:
         return column.to_numpy(zero_copy_only=False).astype(np.float64)[:, None]

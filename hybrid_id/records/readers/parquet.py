@@ -54,6 +54,13 @@ def open_parquet(path: Path) -> "pq.ParquetFile":
     return pq.ParquetFile(path, pre_buffer=False)
 
 
+def is_number(kind: "pa.DataType") -> bool:
+    """Whether a type is one of single numbers, or of truth."""
+    import pyarrow as pa
+
+    return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+
+
 def _pieces(
     path: Path, tables: "Iterable[pa.Table]", wanted: Collection[str]
 ) -> Iterator[dict[str, np.ndarray]]:
@@ -68,11 +75,7 @@ def _pieces(
             if pa.types.is_timestamp(column.type):
                 stamps = column.cast(pa.timestamp("ns"), safe=False).to_numpy(zero_copy_only=False)
                 columns[name] = (stamps - starts.setdefault(name, stamps[:1])) / np.timedelta64(1, "s")
-            elif (
-                pa.types.is_integer(column.type)
-                or pa.types.is_floating(column.type)
-                or pa.types.is_boolean(column.type)
-            ):
+            elif is_number(column.type):
                 columns[name] = column.to_numpy(zero_copy_only=False).astype(np.float64)
             else:
                 lists = pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type)
