@@ -13,7 +13,7 @@ from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import SUPPLY, FrictionCurve, friction_curve, left_out, noted
-from hybrid_id.systems.chain import System, Views
+from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
 BRISTLE = 2.0 * math.pi * 300.0
@@ -96,8 +96,8 @@ class Drives:
         rotor = friction_curve(joint, "motor_friction", self.p, top)
         side = friction_curve(joint, "link_friction", self.p, top / r)
         self.notes += [*rotor.notes, *side.notes]
-        extras, notes = carried(joint.drive.torques, self.p)
-        self.notes += notes + carried(joint.gear.errors, self.p)[1]
+        extras = self.carry(joint.drive.torques)
+        self.carry(joint.gear.errors)
         extras |= self._friction(hinge, rotor, r, self._stopped(joint, "motor_friction"))
         own = self._friction(link, side, 1.0, self._stopped(joint, "link_friction"))
         if own:
@@ -111,10 +111,7 @@ class Drives:
         if extras and not isinstance(part, DCMotor):
             self.passive.append(_passive(f"rotor_friction{label}", at_rotor, r, extras))
         head = {"name": f"motor{label}"} | at_rotor | {"gear": "1" if servo else number(r)}
-        tag, attributes, notes = (
-            _servo(joint, self.p, self.step) if servo else _motor(joint, self.p, self.step, extras)
-        )
-        self.notes += notes
+        tag, attributes = self._loop(joint) if servo else self._actuator(joint, extras)
         self._uneven(f"friction{label}", rotor, r, at_rotor)
         self._uneven(f"link_friction{label}", side, 1.0, at_link)
         for key, part, carry, missing in loads:
@@ -124,19 +121,97 @@ class Drives:
                 missing = "is left out, the description's bodies have their own weight"
             elif isinstance(part, Gravity) and len(self.system.joints) > 1:
                 missing = "is left out, no body of an arm weighs like that: take arm_gravity"
-            self.notes += [noted(key, missing)] if missing else []
-        self.notes += carried(joint.logged, self.p)[1]
-        self.notes += carried([(stage, part) for stage, part, _ in joint.drive.stages], self.p)[1]
+            self._note(key, missing)
+        self.carry(joint.logged)
+        self.carry([(stage, part) for stage, part, _ in joint.drive.stages])
         return tag, head | attributes
 
     def closes(self, joint: Joint) -> bool:
         """Whether MuJoCo closes the joint's position loop itself: one that acts at the angle that it reads."""
         return joint.drive.input[1].at_joint and bool(self.system.tree or joint.rigid)
 
+    def carry(self, parts: Iterable[tuple[str, Any]], *motor: float) -> Attributes:
+        """Attributes that components become; what these leave out is noted."""
+        found: Attributes = {}
+        for key, part in parts:
+            own, missing = part.mjcf(self.p.get(key), *motor)
+            found |= written(own)
+            self._note(key, missing)
+        return found
+
+    def _note(self, key: str, missing: str) -> None:
+        """Note what the export lacks of a component, where it lacks anything."""
+        self.notes += [noted(key, missing)] if missing else []
+
+    def _actuator(self, joint: Joint, extras: Attributes) -> tuple[str, Attributes]:
+        """Tag and attributes beyond name, target and gear of a joint's actuator, whose length is the rotor's angle.
+
+        ``extras`` are what else a ``dcmotor`` carries, friction and cogging.
+
+        Raises:
+            InputError: the motor has no back-EMF.
+        """
+        (key, part), found = joint.drive.motor, self._command(joint)
+        own, missing = part.mjcf(self.p[key])
+        self._note(key, missing)
+        windings = [(name, winding) for name, winding, _ in joint.drive.windings]
+        if "motorconst" not in own:
+            why = "MuJoCo has it in motors that take a voltage only"
+            self.notes += [left_out(name, why) for name, _ in windings]
+            return "general", found | written(own or {"gainprm": (0.0,)})
+        (constant, _), (resistance,) = own["motorconst"], own["resistance"]
+        if constant <= 0.0:
+            raise InputError(
+                f"{key}: P_m2 is {constant:g}, but MuJoCo's dcmotor needs a back-EMF; give it a value above 0"
+            )
+        return "dcmotor", found | written(own) | extras | self.carry(windings, resistance, constant)
+
+    def _loop(self, joint: Joint) -> tuple[str, Attributes]:
+        """Tag and attributes beyond name, target and gear of a position loop, whose command is its goal.
+
+        MuJoCo delays the goal alone and reads the angle as it is, as the model does.
+        """
+        (key, source), (motor, part) = joint.drive.input, joint.drive.motor
+        own, missing = source.mjcf(self.p[key])
+        driven, other = part.mjcf(self.p[motor])
+        (gain,) = driven.get("gainprm", (0.0,))
+        scaled = {name: [float(gain) * float(v) for v in own[name]] for name in own if name != "ctrlrange"}
+        found = written(scaled | {name: own[name] for name in own if name == "ctrlrange"})
+        self._note(key, missing)
+        self._note(motor, other)
+        self.notes += [
+            left_out(name, "MuJoCo's position loop has no such stage") for name, _ in joint.drive.maps
+        ]
+        return "general", found | {"biastype": "affine"} | self._delay(joint)
+
+    def _delay(self, joint: Joint) -> Attributes:
+        """What holds a command back by whole steps."""
+        steps = 0 if joint.drive.delay is None else round(float(self.p[joint.drive.delay[0]].T_d) / self.step)
+        return {"delay": number(steps * self.step), "nsample": str(steps)} if steps else {}
+
+    def _command(self, joint: Joint) -> Attributes:
+        """Limit and delay of the command; what of the input stage stays outside is noted."""
+        key, source = joint.drive.input
+        missing = source.mjcf(self.p[key])[1]
+        if source.at_joint:
+            missing = (
+                "stays with the controller, and its torque over the gear ratio is ctrl: it reads the link's angle, but "
+                "MuJoCo's actuators read the angle at which they act, the rotor's"
+            )
+        if missing:
+            asked = f"{source.kind} ({', '.join(source.channels)})"
+            self.notes.append(f"joint{joint.number}/input: ctrl is the {commanded(joint)}; {asked} {missing}")
+        found, held = self.carry(joint.drive.maps), self._delay(joint)
+        if held and joint.drive.delay and (isinstance(source, PositionLoop) or source.at_joint):
+            # MuJoCo would delay the angle that the loop reads, too
+            self.notes.append(f"{joint.drive.delay[0]}: it delays the goal, and stays with the controller")
+            held = {}
+        return found | held
+
     def sensed(self, joint: Joint) -> None:
         """Note what of a joint's sensors is left out."""
         late = [one for one in (joint.sensing.late, joint.sensing.lag) if one is not None]
-        self.notes += carried([*joint.sensing.sensors, *late], self.p)[1]
+        self.carry([*joint.sensing.sensors, *late])
 
     def _stopped(self, joint: Joint, place: str) -> float:
         """Inertia that a place's friction stops, on its own side of the gear [kg m^2]."""
@@ -186,96 +261,10 @@ class Drives:
             self.passive.append(("general", attributes | on))
 
 
-def carried(parts: Iterable[tuple[str, Any]], p: Views, *motor: float) -> tuple[Attributes, list[str]]:
-    """Attributes that components become, and a sentence on each of which these leave something out."""
-    found: Attributes = {}
-    notes = []
-    for key, part in parts:
-        own, missing = part.mjcf(p.get(key), *motor)
-        found |= written(own)
-        notes += [noted(key, missing)] if missing else []
-    return found, notes
-
-
 def commanded(joint: Joint) -> str:
     """What a joint's motor takes, with its unit."""
     gives = joint.drive.input[1].gives
     return "motor's " + COMMANDS.get(gives, f"command [{gives}]")
-
-
-def _motor(joint: Joint, p: Views, step: float, extras: Attributes) -> tuple[str, Attributes, list[str]]:
-    """Tag, attributes beyond name, target and gear, and notes of a joint's actuator, whose length is the rotor's angle.
-
-    Args:
-        joint: the joint.
-        p: parameter views.
-        step: MuJoCo's time step [s].
-        extras: what else a ``dcmotor`` carries, friction and cogging.
-
-    Raises:
-        InputError: the motor has no back-EMF.
-    """
-    key, part = joint.drive.motor
-    limits, notes = _command(joint, p, step)
-    own, missing = part.mjcf(p[key])
-    notes += [noted(key, missing)] if missing else []
-    found = limits
-    windings = [(name, winding) for name, winding, _ in joint.drive.windings]
-    if "motorconst" not in own:
-        notes += [left_out(name, "MuJoCo has it in motors that take a voltage only") for name, _ in windings]
-        return "general", found | written(own or {"gainprm": (0.0,)}), notes
-    (constant, _), (resistance,) = own["motorconst"], own["resistance"]
-    if constant <= 0.0:
-        raise InputError(
-            f"{key}: P_m2 is {constant:g}, but MuJoCo's dcmotor needs a back-EMF; give it a value above 0"
-        )
-    wound, left = carried(windings, p, resistance, constant)
-    return "dcmotor", found | written(own) | extras | wound, notes + left
-
-
-def _servo(joint: Joint, p: Views, step: float) -> tuple[str, Attributes, list[str]]:
-    """Tag, attributes beyond name, target and gear, and notes of a position loop, whose command is its goal.
-
-    MuJoCo delays the goal alone and reads the angle as it is, as the model does.
-    """
-    (key, source), (motor, part) = joint.drive.input, joint.drive.motor
-    own, missing = source.mjcf(p[key])
-    driven, other = part.mjcf(p[motor])
-    (gain,) = driven.get("gainprm", (0.0,))
-    scaled = {name: [float(gain) * float(v) for v in own[name]] for name in own if name != "ctrlrange"}
-    found = written(scaled | {name: own[name] for name in own if name == "ctrlrange"})
-    notes = [noted(name, words) for name, words in ((key, missing), (motor, other)) if words]
-    notes += [left_out(name, "MuJoCo's position loop has no such stage") for name, _ in joint.drive.maps]
-    return "general", found | {"biastype": "affine"} | _delay(joint, p, step), notes
-
-
-def _delay(joint: Joint, p: Views, step: float) -> Attributes:
-    """What holds a command back by whole steps."""
-    steps = 0 if joint.drive.delay is None else round(float(p[joint.drive.delay[0]].T_d) / step)
-    return {"delay": number(steps * step), "nsample": str(steps)} if steps else {}
-
-
-def _command(joint: Joint, p: Views, step: float) -> tuple[Attributes, list[str]]:
-    """Limit and delay of the command, and what of the input stage stays outside."""
-    key, source = joint.drive.input
-    missing = source.mjcf(p[key])[1]
-    if source.at_joint:
-        missing = (
-            "stays with the controller, and its torque over the gear ratio is ctrl: it reads the link's angle, but "
-            "MuJoCo's actuators read the angle at which they act, the rotor's"
-        )
-    asked = f"{source.kind} ({', '.join(source.channels)})"
-    notes = (
-        [f"joint{joint.number}/input: ctrl is the {commanded(joint)}; {asked} {missing}"] if missing else []
-    )
-    found, left = carried(joint.drive.maps, p)
-    notes += left
-    held = _delay(joint, p, step)
-    if held and joint.drive.delay and (isinstance(source, PositionLoop) or source.at_joint):
-        # MuJoCo would delay the angle that the loop reads, too
-        notes.append(f"{joint.drive.delay[0]}: it delays the goal, and stays with the controller")
-        held = {}
-    return found | held, notes
 
 
 def _passive(name: str, on: Attributes, gear: float, extras: Attributes) -> tuple[str, Attributes]:

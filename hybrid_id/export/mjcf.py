@@ -20,7 +20,7 @@ from hybrid_id.components.load.two_link import JointCoupling
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import SUPPLY, elasticity
-from hybrid_id.export.drives import HARD, Attributes, Drives, Mjcf, carried, number, numbers
+from hybrid_id.export.drives import HARD, Attributes, Drives, Mjcf, number, numbers
 from hybrid_id.export.own_file import edited
 from hybrid_id.systems.chain import System, Views
 from hybrid_id.systems.joint import Joint
@@ -70,7 +70,7 @@ class _Document(Drives):
             frame = {}
         for tag, attributes in self.passive:  # behind the motors, whose commands come first in ctrl
             ET.SubElement(self.actuators, tag, attributes)
-        self.notes += carried(self.system.networks.items(), self.p)[1]
+        self.carry(self.system.networks.items())
         if not len(self.tendons):
             self.root.remove(self.tendons)
         title = (

@@ -25,7 +25,7 @@ from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import left_out, noted
-from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, commanded, number, numbers
+from hybrid_id.export.drives import Attributes, Drives, Mjcf, commanded, number, numbers
 from hybrid_id.robots.description import braking, compiled, idle, read_spec, without_missing_meshes
 from hybrid_id.robots.tree import Body, RigidBodyTree, TreeJoint
 from hybrid_id.systems.chain import System
@@ -252,7 +252,7 @@ class _Edit(Drives):
         self.added += [self._new(tag, attributes) for tag, attributes in self.passive]
         self._masses()
         self._compensation()
-        self.notes += carried([*self.system.networks.items(), *self.system.arm.contacts], self.p)[1]
+        self.carry([*self.system.networks.items(), *self.system.arm.contacts])
         for (old, command), names in self.replaced.items():
             self.notes.append(f"{', '.join(names)}: in the place of a {old} the actuator takes the {command}")
         own = re.compile(r"\bjoint(\d+)(?=/)")
