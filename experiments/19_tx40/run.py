@@ -166,7 +166,7 @@ def main() -> None:
     values, errors, size = fit(columns, measured)
     n = len(base.independent)
     scaled = (columns / size[:, None]).reshape(-1, columns.shape[2])
-    print(f"{n} base parameters, {len(NAMES)} of friction; {len(columns)} samples, lag {errors.lag}, {errors.method}; "
+    print(f"{n} base parameters, {len(NAMES)} of friction; {len(columns)} samples; "
           f"condition number {np.linalg.cond(scaled / np.linalg.norm(scaled, axis=0)):.3g}")  # fmt: skip
     sets = {k: published(given.data / f"published_{k}_parameters.csv", base) for k in ("base", "essential")}
     essential = {text: (value, std) for text, _, value, std in sets["essential"]}

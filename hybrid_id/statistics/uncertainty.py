@@ -34,16 +34,12 @@ class Covariance:
         matrix: (p, p); a pseudo-inverse where directions are undetermined.
         std_error: (p,); inf for parameters that an undetermined direction moves.
         noise_variance: Variance of the weighted residuals; 1 where the weights are right.
-        method: "plain", "robust" or "jackknife".
-        lag: Samples over which the robust version sums, of the longest record for the jackknife; 0 for the plain one.
         inverse_hessian: A, (p, p).
     """
 
     matrix: np.ndarray
     std_error: np.ndarray
     noise_variance: float
-    method: str
-    lag: int
     inverse_hessian: np.ndarray
 
 
@@ -70,7 +66,7 @@ def covariance(
     variance = noise_variance_of(records)
     # the same, without cancellation where there is no prior
     matrix = variance * inverse + (1.0 - variance) * inverse @ prior @ inverse
-    return Covariance(matrix, _std_error(matrix, determined), variance, "plain", 0, inverse)
+    return Covariance(matrix, _std_error(matrix, determined), variance, inverse)
 
 
 def robust_covariance(
@@ -84,10 +80,7 @@ def robust_covariance(
     Records are independent of each other. A model error that lasts as long as a record escapes it: compare with
     the scatter between records (`reliability`).
 
-    Args:
-        jacobian: Weighted Jacobian of one record or of several.
-        residual: Weighted residuals alike.
-        prior_precision: As in `covariance`; the prior's mean counts as one more measurement.
+    Arguments are those of :func:`covariance`; the prior's mean counts as one more measurement.
     """
     records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
     variance = noise_variance_of(records)
@@ -95,12 +88,12 @@ def robust_covariance(
     scale, values, vectors, kept = scaled_eigen(hessian)
     root = np.sqrt(values[kept])
     axes, back = vectors[:, kept] / scale[:, None] / root, vectors[:, kept] * scale[:, None] * root
-    rotated, lag = long_run_covariance([np.einsum("tyi,ty->ti", j @ axes, r) for j, r in records])
+    rotated = long_run_covariance([np.einsum("tyi,ty->ti", j @ axes, r) for j, r in records])
     scores = back @ rotated @ back.T
     n_residuals = sum(r.size for _, r in records)
     correction = n_residuals / max(n_residuals - len(hessian), 1)
     matrix = inverse @ (correction * scores + prior) @ inverse
-    return Covariance(matrix, _std_error(matrix, determined), variance, "robust", lag, inverse)
+    return Covariance(matrix, _std_error(matrix, determined), variance, inverse)
 
 
 def _normal_equations(
@@ -164,8 +157,8 @@ def noise_variance_of(records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return total / max(count, 1) if total > 0 else 1.0
 
 
-def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
-    """Covariance of ``Σ_records Σ_t s_t`` for scores that may be autocorrelated; records are independent.
+def long_run_covariance(series: Sequence[np.ndarray]) -> np.ndarray:
+    """Covariance (p, p) of ``Σ_records Σ_t s_t`` for scores that may be autocorrelated; records are independent.
 
     Chunks are summed; each column is whitened by an autoregression whose order Akaike's criterion chooses (den
     Haan and Levin, "A practitioner's guide to robust covariance matrix estimation", Handbook of Statistics 15, 1997);
@@ -175,12 +168,9 @@ def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
 
     Args:
         series: Scores of each record, [(T, p)], each column of mean zero.
-
-    Returns:
-        Covariance (p, p), and the reach of the correlation that it counts, in samples.
     """
     if not series[0].shape[1]:  # the records tell nothing
-        return np.zeros((0, 0)), 0
+        return np.zeros((0, 0))
     chunk = max(max(len(s) for s in series) // _CHUNKS, 1)
     sums = [np.add.reduceat(s, np.arange(0, len(s), chunk)) for s in series]
     size = np.sqrt(np.sum([np.sum(s**2, axis=0) for s in sums], axis=0))
@@ -201,8 +191,7 @@ def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
         term = _lagged_products(white, k)
         total = total + (1 - k / (lag + 1)) * (term + term.T)
     recolour = size / np.array([f.sum() for f in filters])
-    total = total * np.outer(recolour, recolour) * count / sum(len(w) for w in white)
-    return total, chunk * (lag + max(len(f) for f in filters) - 1)
+    return total * np.outer(recolour, recolour) * count / sum(len(w) for w in white)
 
 
 def _lagged_products(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
@@ -243,10 +232,7 @@ def jackknife_covariance(
     Sources: J. G. MacKinnon, H. White, J. Econometrics 29 (1985), for single samples; J. G. MacKinnon, M. O. Nielsen,
     M. D. Webb, "Cluster-robust inference: a guide to empirical practice", J. Econometrics 232 (2023), for blocks (CR3).
 
-    Args:
-        jacobian: weighted Jacobian of one record or of several (convention: `uncertainty`).
-        residual: weighted residuals alike.
-        prior_precision: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
+    Arguments are those of :func:`covariance`.
     """
     records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
     samples, pieces = sum(len(r) for _, r in records), []
@@ -263,8 +249,7 @@ def jackknife_covariance(
     steps = np.linalg.solve(rest + floor, (gradients @ axes)[..., None])[..., 0]
     drawn = axes.T @ prior @ axes  # the prior's mean counts as one more measurement
     matrix = axes @ ((len(pieces) - 1) / len(pieces) * steps.T @ steps + drawn) @ axes.T
-    longest, variance = max(len(r) for _, r in pieces), noise_variance_of(records)
-    return Covariance(matrix, _std_error(matrix, determined), variance, "jackknife", longest, inverse)
+    return Covariance(matrix, _std_error(matrix, determined), noise_variance_of(records), inverse)
 
 
 def autocorrelation_robust(

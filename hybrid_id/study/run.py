@@ -239,7 +239,7 @@ def analyse_fits(
     def covariance_by(way: Callable[..., Covariance], result: FitResult) -> Covariance:
         if result.status == "diverged":
             nothing = np.full((len(result.values),) * 2, np.nan)
-            return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
+            return Covariance(nothing, nothing[0], math.nan, nothing)
         return way(*result.of_records(), prior_precision=result.prior_precision)
 
     plain, robust = (
