@@ -65,14 +65,13 @@ def schroeder_phases(powers: np.ndarray) -> np.ndarray:
 
 
 def design_multisine(
-    band: tuple[float, float] | None = None,
+    band: tuple[float, float],
     *,
-    frequencies: Sequence[float] | np.ndarray | None = None,
     sample_time: float,
     duration: float,
     amplitude_limits: float | tuple[float, float],
     tones: int | None = None,
-    spectrum: Literal["flat", "flat rate"] | Sequence[float] | np.ndarray = "flat",
+    spectrum: Literal["flat", "flat rate"] = "flat",
     predicted: Sequence[tuple[Callable[[np.ndarray], np.ndarray], float]] = (),
     starts: int = STARTS,
     seed: int = 0,
@@ -86,12 +85,11 @@ def design_multisine(
 
     Args:
         band: Lowest and highest frequency [Hz]; the tones are spread evenly over it.
-        frequencies: Tones [Hz] in place of a band; moved to the nearest multiple of 1 / duration.
         sample_time: Sample time of the signal [s].
         duration: Length of the signal [s]; it holds a whole number of periods.
         amplitude_limits: Peak, or (lowest, highest) value of the signal.
         tones: Number of tones spread over the band; None for :func:`usual_tones`.
-        spectrum: "flat", "flat rate" for amplitudes as 1 / f, or relative amplitude of each tone (K,).
+        spectrum: "flat", or "flat rate" for amplitudes as 1 / f.
         predicted: Pairs (response, peak): a linear response ``G(f)`` of the robot, frequencies (K,) [Hz] to
             complex gain (K,), and the peak that ``G u`` (say, the speed) must not exceed. Peaks of input
             and responses are minimised together, each relative to its limit.
@@ -105,13 +103,8 @@ def design_multisine(
     if n_samples < 2:
         raise InputError(f"excitation: duration {duration:g} s holds no two samples; lengthen it")
     period = n_samples * sample_time
-    harmonics = _harmonics(band, frequencies, tones, period, sample_time)
-    known = {"flat": np.ones(len(harmonics)), "flat rate": harmonics[0] / harmonics}
-    relative = known[spectrum] if isinstance(spectrum, str) else np.asarray(spectrum, float)
-    if relative.shape != harmonics.shape or not np.all(np.isfinite(relative) & (relative > 0)):
-        raise InputError(
-            f"excitation: spectrum must give a positive amplitude for each of {len(harmonics)} tones"
-        )
+    harmonics = _harmonics(band, usual_tones(band, period) if tones is None else tones, period, sample_time)
+    relative = np.ones(len(harmonics)) if spectrum == "flat" else harmonics[0] / harmonics
     if not isinstance(amplitude_limits, tuple):
         amplitude_limits = (-amplitude_limits, amplitude_limits)
     lowest, highest = amplitude_limits
@@ -158,37 +151,21 @@ def _multiples(band: tuple[float, float], period: float) -> tuple[int, int]:
     return max(first, 1), last
 
 
-def _harmonics(
-    band: tuple[float, float] | None,
-    frequencies: Sequence[float] | np.ndarray | None,
-    tones: int | None,
-    period: float,
-    sample_time: float,
-) -> np.ndarray:
+def _harmonics(band: tuple[float, float], tones: int, period: float, sample_time: float) -> np.ndarray:
     """Tones as ascending multiples of 1 / period (K,) int."""
-    if frequencies is not None:
-        harmonics = np.unique(np.round(np.asarray(frequencies, float) * period).astype(int))
-        if len(harmonics) != len(frequencies):
-            raise InputError(
-                f"excitation: two tones fall on one multiple of {1 / period:.4g} Hz; lengthen it"
-            )
-    elif band is not None:
-        first, last = _multiples(band, period)
-        tones = usual_tones(band, period) if tones is None else tones
-        if tones < 1 or last - first + 1 < tones:
-            raise InputError(
-                f"excitation: the band holds {max(last - first + 1, 0)} multiples of {1 / period:.4g} Hz, "
-                f"fewer than {tones} tones; lengthen the duration or ask for fewer tones"
-            )
-        step = (last - first) // max(tones - 1, 1)
-        if tones * max(step + 1, 1) <= last and step + 1 >= first:
-            step += 1
-        # Multiples of one number repeat sooner and reach the lowest crest factors.
-        start = step * -(-first // step) if step else first
-        start = start if start + step * (tones - 1) <= last else first
-        harmonics = start + step * np.arange(tones)
-    else:
-        raise InputError("excitation: give a band or the frequencies of the tones")
+    first, last = _multiples(band, period)
+    if tones < 1 or last - first + 1 < tones:
+        raise InputError(
+            f"excitation: the band holds {max(last - first + 1, 0)} multiples of {1 / period:.4g} Hz, "
+            f"fewer than {tones} tones; lengthen the duration or ask for fewer tones"
+        )
+    step = (last - first) // max(tones - 1, 1)
+    if tones * max(step + 1, 1) <= last and step + 1 >= first:
+        step += 1
+    # Multiples of one number repeat sooner and reach the lowest crest factors.
+    start = step * -(-first // step) if step else first
+    start = start if start + step * (tones - 1) <= last else first
+    harmonics = start + step * np.arange(tones)
     if harmonics[0] < 1 or harmonics[-1] / period >= 0.5 / sample_time:
         raise InputError(
             f"excitation: tones must lie between {1 / period:.4g} Hz and half the sampling frequency, "

@@ -169,7 +169,6 @@ class CellResult:
         cell: which one.
         rungs: models by price, physics alone first; a cell of physics only has one, and so has a network alone.
         chosen: number of the rung that the validation records chose.
-        gradients: of the whole training.
         seconds: that it took.
         history: of the training by tag, (gradient, value) each.
         model: the chosen model as a model file holds it; empty of a network alone that no model file can hold.
@@ -178,7 +177,6 @@ class CellResult:
     cell: Cell
     rungs: tuple[Rung, ...]
     chosen: int
-    gradients: int
     seconds: float
     history: dict[str, list[tuple[int, Unknown]]]
     model: dict[str, Any]
@@ -402,9 +400,8 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
             rungs, chosen, best = rungs[-1:], 0, result.models[-1].system
     # a network alone that stands for a robot has no description that a model file could name
     model = describe_model(best) if best.tree is not None or best.name in SKELETON else {}
-    gradients = max((step for step, _ in history.history.get("loss/train", [])), default=0)
     seconds = time.perf_counter() - start
-    return CellResult(cell, tuple(rungs), chosen, gradients, seconds, history.history, model)
+    return CellResult(cell, tuple(rungs), chosen, seconds, history.history, model)
 
 
 def run_cells(

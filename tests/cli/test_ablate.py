@@ -68,7 +68,7 @@ class Cells:
             rungs = [self.rung(task, math.inf, 5.0), self.rung(task, 1.0, error)]
         history = {} if cell.arm.residual == NONE else {"loss/train": [(1, 3.0), (2, 1.0)]}
         model = describe_model(task.model(cell.arm, cell.seed))
-        return CellResult(cell, tuple(rungs), min(1, len(rungs) - 1), 2, 1.0, history, model)
+        return CellResult(cell, tuple(rungs), min(1, len(rungs) - 1), 1.0, history, model)
 
     @staticmethod
     def rung(task: Task, price: float, error: float) -> Rung:

@@ -27,9 +27,10 @@ def on_fine_grid(design: Multisine) -> np.ndarray:
     return design.at(np.arange(0, design.period, 1 / (200 * design.frequencies[-1])))
 
 
-@pytest.mark.parametrize("frequencies", [np.arange(1, 21) / 10, np.arange(1, 41, 2) / 10], ids=["all", "odd"])
-def test_twenty_flat_tones_reach_1_42(frequencies):
-    design = design_multisine(frequencies=frequencies, **{**FAST, "starts": 150})
+@pytest.mark.parametrize("highest", [2.0, 3.9], ids=["all", "odd"])
+def test_twenty_flat_tones_reach_1_42(highest):
+    design = design_multisine((0.1, highest), tones=20, **{**FAST, "starts": 150})
+    np.testing.assert_allclose(design.frequencies, np.linspace(0.1, highest, 20))
     signal = on_fine_grid(design)
     assert np.abs(signal).max() / np.sqrt(np.mean(signal**2)) <= 1.42
     assert design.crest_factor <= 1.42
@@ -79,9 +80,8 @@ def test_predicted_speed_keeps_its_limit_and_the_peak_bound_is_honest():
 
 
 def test_spectrum_is_kept():
-    relative = np.linspace(1.0, 0.2, 20)
-    design = design_multisine((0.1, 2.0), **FAST, spectrum=relative)
-    np.testing.assert_allclose(design.amplitudes / design.amplitudes[0], relative)
+    design = design_multisine((0.1, 2.0), **FAST, spectrum="flat rate")
+    np.testing.assert_allclose(design.amplitudes / design.amplitudes[0], 0.1 / design.frequencies)
 
 
 def test_same_seed_same_signal():
@@ -114,10 +114,7 @@ def test_the_usual_number_of_tones_is_one_that_the_band_holds(lowest, width, dur
         ({"band": (0.1, 0.5), "tones": 20}, "fewer than 20 tones"),
         ({"band": (1.0, 60.0)}, "half the sampling frequency"),
         ({"band": (0.1, 2.0), "amplitude_limits": 0.0}, "amplitude limit"),
-        ({"band": (0.1, 2.0), "spectrum": [1.0, 2.0]}, "a positive amplitude"),
         ({"band": (0.1, 2.0), "duration": 0.001}, "no two samples"),
-        ({}, "give a band or the frequencies"),
-        ({"frequencies": [1.0, 1.01]}, "fall on one multiple"),
     ],
 )
 def test_what_cannot_be_built_is_refused_in_words(change, words):

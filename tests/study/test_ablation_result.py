@@ -25,7 +25,7 @@ def cell(
     bare = Rung(math.inf, errors, {"t": 1.0}, {"J": 2.0}, {"J": 0.1}, 0.0, 0.0, "converged")
     rung = Rung(1.0, errors, {"t": 1.0}, {"J": 2.1}, {"J": 0.1}, **role, status="converged")
     rungs = (bare, rung) if arm.hybrid else (bare,)
-    return CellResult(Cell(arm, seed, SPLIT), rungs, len(rungs) - 1, 0, 0.0, {}, {})
+    return CellResult(Cell(arm, seed, SPLIT), rungs, len(rungs) - 1, 0.0, {}, {})
 
 
 def compared(factors: Mapping[Arm, list[float]], **settings) -> Ablation:
