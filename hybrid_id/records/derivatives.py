@@ -15,7 +15,7 @@ from math import comb, factorial
 
 import numpy as np
 from scipy.fft import dst
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
 from hybrid_id.errors import InputError
 
@@ -96,8 +96,7 @@ def smooth_derivatives(
     chosen = np.zeros(y.shape, np.int8)
     half_windows = [h for h in _HALF_WINDOWS if h <= longest]
     for number, half in enumerate(half_windows):
-        value, gain = _local_polynomial(y, half), np.full(n_samples, _gains(half)[half])
-        gain[:half], gain[n_samples - half :] = _gains(half)[:half], _gains(half)[half + 1 :]
+        value, gain = _local_polynomial(y, half)
         reach = threshold * noise * gain
         np.maximum(lower, value - reach, out=lower)
         np.minimum(upper, value + reach, out=upper)
@@ -110,24 +109,34 @@ def smooth_derivatives(
     ):  # once more, for all of them of a long record fill the memory
         mine = chosen == number
         for d in range(3 if mine.any() else 0):
-            results[d][mine] = _local_polynomial(y, half, d)[mine] / step**d
+            results[d][mine] = _local_polynomial(y, half, d)[0][mine] / step**d
     still = np.ptp(y, axis=-1) == 0.0
     # a speed of rounding alone is a tiny value, which records refuse
     results[0][still], results[1:, still] = y[still], 0.0
     return results[0], results[1], results[2]
 
 
-def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> np.ndarray:
-    """The d-th derivative per sample (..., T) in windows of 2 half + 1; at the ends those of the first and last one."""
-    from scipy.signal import savgol_filter  # slow to import
-
-    return np.asarray(savgol_filter(y, 2 * half + 1, _DEGREE, deriv=d, axis=-1))
+def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """The d-th derivative per sample (..., T) in windows of 2 half + 1, and its gain of noise (T,)."""
+    n_samples, weights = y.shape[-1], _weights(half, d)
+    fit = convolve1d(y, weights[half][::-1], axis=-1, mode="nearest")
+    fit[..., :half] = y[..., : 2 * half + 1] @ weights[:half].T
+    fit[..., n_samples - half :] = y[..., n_samples - 2 * half - 1 :] @ weights[half + 1 :].T
+    gain = np.full(n_samples, np.linalg.norm(weights[half]))
+    gain[:half] = np.linalg.norm(weights[:half], axis=1)
+    gain[n_samples - half :] = np.linalg.norm(weights[half + 1 :], axis=1)
+    return fit, gain
 
 
 @cache
-def _gains(half: int) -> np.ndarray:
-    """Gain of noise of the value at each sample of a window, (2 half + 1,)."""
-    return np.linalg.norm(_local_polynomial(np.eye(2 * half + 1), half), axis=0)
+def _weights(half: int, d: int) -> np.ndarray:
+    """Row k reads the d-th derivative off the polynomial of a window of 2 half + 1 samples at its k-th sample."""
+    offset = np.arange(-half, half + 1)
+    inverse = np.linalg.pinv(np.vander(offset / half, _DEGREE + 1, increasing=True))
+    basis = np.zeros((2 * half + 1, _DEGREE + 1))
+    for power in range(d, _DEGREE + 1):
+        basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
+    return basis @ inverse / half**d
 
 
 _ROLL_OFF = 0.25  # width of the band's soft edges, relative to the edge; a periodic record has sharp ones
