@@ -436,7 +436,7 @@ def test_interrupt_reaches_the_other_processes(drive: Path, tmp_path: Path, monk
     data, stop = Dataset.load(drive), tmp_path / "stop"
     stop.touch()
     settings = {"engine": Engine(), "options": Options(), "starts": 1, "kept": None}
-    (found,) = fit_share([0], data, load_model(drive / "model.yaml"), settings, stop, WHOLE, "cpu", 0.05)
+    (found,) = fit_share([0], data, load_model(drive / "model.yaml"), settings, stop, WHOLE, "cpu")
     assert found.status == "interrupted"
 
 

@@ -38,7 +38,7 @@ def explanation(
     iterations: int = 0,
 ) -> FittedModel:
     """A model as a search ends with it."""
-    batch = batch_of(dataset, system, dataset.train, 0.0, "cpu")
+    batch = batch_of(replace(dataset, signal_share=0.0), system, dataset.train)
     batch = batch if horizon is None else horizon.cut(system, engine(), batch)
     found = fit(
         system, batch, pooled=True, engine=engine(), options=Options(max_iterations=iterations), warm=False

@@ -42,7 +42,7 @@ def left_by(law: type[Component], **values: float) -> Residual:
     """Today's model fitted to records of a drive with something beside its motor."""
     places = {Cogging: "motor", KinematicError: "transmission"}
     dataset, today = small_case(law(**values), f"joint1/{places.get(law, 'motor_friction')}")
-    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    batch = batch_of(replace(dataset, signal_share=0.1), today, dataset.train)
     return Residual(finite_difference_fit(today, batch, engine=engine(), iterations=8), batch)
 
 
@@ -110,7 +110,7 @@ def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
     records = make_records(truth, voltages, noise=noise, outputs=tuple(noise), step=0.005)
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 1e-3), Channel("q_a1", "rad", 1e-5))
     dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
-    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    batch = batch_of(replace(dataset, signal_share=0.1), today, dataset.train)
     n, *size = gear_waves(
         Residual(finite_difference_fit(today, batch, engine=engine(), iterations=4), batch), 1, ""
     )[0]

@@ -23,7 +23,9 @@ from hybrid_id.systems import two_link
 def test_torque_is_known_beside_what_remembers(place, part) -> None:
     dataset, today = small_case()
     richer = today.with_component(f"joint1/{place}", part)
-    plain, known = (scales(s, batch_of(dataset, s, dataset.train, 0.1, "cpu"))[0] for s in (today, richer))
+    plain, known = (
+        scales(s, batch_of(replace(dataset, signal_share=0.1), s, dataset.train))[0] for s in (today, richer)
+    )
     assert known.torque == pytest.approx(plain.torque)
     assert known.dry == pytest.approx(plain.dry, rel=1e-3)
 
@@ -41,7 +43,7 @@ def test_the_second_joint_of_an_arm_is_known_beside_a_lag_of_the_first() -> None
 
 def test_a_drive_that_never_moves_has_scales_to_divide_by() -> None:
     dataset, today = small_case()
-    batch = batch_of(dataset, today, dataset.train, 0.004, "cpu")
+    batch = batch_of(dataset, today, dataset.train)
     still = replace(
         batch, x=torch.zeros_like(batch.x), u={k: torch.zeros_like(v) for k, v in batch.u.items()}
     )
@@ -52,7 +54,7 @@ def test_a_drive_that_never_moves_has_scales_to_divide_by() -> None:
 def test_long_rests_make_nothing_smaller() -> None:
     """A pause of any length after a move: what moves is as fast and as strong as it was."""
     dataset, today = small_case()
-    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    batch = batch_of(replace(dataset, signal_share=0.1), today, dataset.train)
     x, pause = batch.x, 40 * batch.x.shape[1]
 
     def paused(signal: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
@@ -77,7 +79,9 @@ def test_friction_on_the_links_side_of_a_rigid_gear_is_known() -> None:
     level = today.parameter("F_c").spec.value
     moved = today.without_component("joint1/motor_friction", "coulomb_friction")
     moved = moved.with_component("joint1/link_friction", Coulomb(F_c=RATIO * level))
-    plain, known = (scales(s, batch_of(dataset, s, dataset.train, 0.1, "cpu"))[0] for s in (today, moved))
+    plain, known = (
+        scales(s, batch_of(replace(dataset, signal_share=0.1), s, dataset.train))[0] for s in (today, moved)
+    )
     assert known.dry == pytest.approx(plain.dry)
     alone = moved.without_component("joint1/motor_friction", "viscous_friction")
     for name in ("stribeck_friction", "presliding_friction"):
@@ -88,7 +92,7 @@ def test_friction_on_the_links_side_of_a_rigid_gear_is_known() -> None:
 def test_viscous_friction_is_looked_for_where_the_motors_torque_is_seen() -> None:
     dataset, today = small_case()
     bare = today.without_component("joint1/motor_friction", "viscous_friction")
-    batch = batch_of(dataset, bare, dataset.train, 0.1, "cpu")
+    batch = batch_of(replace(dataset, signal_share=0.1), bare, dataset.train)
     off = replace(batch, u=dict(batch.u) | {"enable1": torch.zeros_like(batch.dt)})
     for seen, places in (
         (batch, []),

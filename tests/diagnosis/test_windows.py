@@ -18,7 +18,7 @@ from hybrid_id.study.replay import batch_of
 def cut(place: str, kind: str, **values: float):
     dataset, nominal = small_case()
     system = nominal.with_component(place, REGISTRY[kind](**values))
-    batch = batch_of(dataset, system, dataset.train, 0.004, "cpu")
+    batch = batch_of(dataset, system, dataset.train)
     return system, batch, windows(system, engine(), batch, 0.25)
 
 
@@ -52,7 +52,7 @@ def test_twist_that_nobody_sees_begins_as_in_the_free_run_and_is_held() -> None:
 
 def test_records_that_hold_no_window_stay_whole() -> None:
     dataset, nominal = small_case()
-    batch = batch_of(dataset, nominal, dataset.train, 0.004, "cpu")
+    batch = batch_of(dataset, nominal, dataset.train)
     longest = batch.sample_time * batch.x.shape[1]
     assert windows(nominal, engine(), batch, 1.1 * longest) is batch
     assert windows(nominal, engine(), batch, 0.4 * longest).rows == 2 * batch.rows

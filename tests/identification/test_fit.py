@@ -129,7 +129,9 @@ def test_how_near_to_zero_an_angle_starts_is_no_measure_of_its_steps(start: floa
     dataset, nominal = small_case(Spring(k_s=0.4, q_s=0.6), "joint1/load")
     begun = Spring(k_s=0.2, q_s=Bounded(start, -4.0, 4.0, "rad"))
     system = nominal.with_component("joint1/load", begun)
-    (found,) = fit(system, batch_of(dataset, system, dataset.train, 0.0, "cpu"), pooled=True, warm=False)
+    (found,) = fit(
+        system, batch_of(replace(dataset, signal_share=0.0), system, dataset.train), pooled=True, warm=False
+    )
     assert found.noise_scale < 1.05
     assert found.values[found.names.index("q_s")] == pytest.approx(0.6, abs=0.002)
 

@@ -103,7 +103,7 @@ def test_that_a_fit_predicts_worse_than_the_nominal_values_is_said(dataset: Data
     assert said in found.summary() and said in " ".join(text_of(study_table(found)).split())
     assert study_result(found)["beside_nominal"]["worse"]
     alone = replace(dataset, records=(replace(last, role="train"),))
-    at_fit = beside_nominal(alone, system, found.selected, 0.0)
+    at_fit = beside_nominal(alone, system, found.selected)
     assert (at_fit.role, at_fit.worse) == ("train", True) and "--starts" in at_fit.words
 
 
