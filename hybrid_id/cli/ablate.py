@@ -5,22 +5,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import EVENTS, added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
-from hybrid_id.cli.options import (
-    Backend,
-    BackendOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    ProcessesOption,
-    SchedulerOption,
-    SourceArgument,
-    check_backend,
-    config_of,
-    use_threads,
-)
 from hybrid_id.cli.results import files_in, write_last, write_report
 from hybrid_id.cli.train import check_network, say_how_long
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
@@ -39,13 +27,13 @@ CELLS, CELL, RESULT = "cells", "cell.json", "ablation.json"
 
 
 def ablate(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
-    jobs: ProcessesOption = 1,
-    backend: BackendOption = Backend.joblib,
-    scheduler: SchedulerOption = None,
-    as_json: JsonOption = False,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
+    jobs: options.ProcessesOption = 1,
+    backend: options.BackendOption = options.Backend.joblib,
+    scheduler: options.SchedulerOption = None,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Physics only or hybrid? Arms on the same records and seeds, paired differences, and the answer in words.
 
@@ -53,8 +41,8 @@ def ablate(
     one repeat, is kept as soon as it is done: after Ctrl-C the same command goes on. `tensorboard --logdir DIR` shows
     the cells that are done, with their settings.
     """
-    check_backend(backend, scheduler)
-    config = config_of(source, model, out)
+    options.check_backend(backend, scheduler)
+    config = options.config_of(source, model, out)
     if config.identification.device != "cpu":
         raise InputError(
             f"key 'identification.device' is '{config.identification.device}', but cells are computed on the cpu; "
@@ -67,7 +55,7 @@ def ablate(
         other := read_object(home / RESULT, "ablation").get("dataset")
     ) != dataset.name:
         raise InputError(f"{home} holds the ablation of another dataset, '{other}'; give another folder")
-    use_threads(1)
+    options.use_threads(1)
     system = load_system(config, dataset)
     say_how_long(system)
     task, cells = planned(config, dataset, system)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import SearchProgress, remark, show
 from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, FITS, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
@@ -17,18 +18,6 @@ from hybrid_id.cli.inputs import (
     remark_idle,
     remark_start_values,
     remark_uneven,
-)
-from hybrid_id.cli.options import (
-    ForceOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    ResumeOption,
-    SeedOption,
-    SourceArgument,
-    WindowOption,
-    config_of,
-    use_threads,
 )
 from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
 from hybrid_id.config import StudyConfig, sections
@@ -55,9 +44,9 @@ LONG, MOST_JOBS = 200_000, 4
 
 
 def diagnose(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
     max_effects: Annotated[
         int | None, typer.Option(help="Effects at most.", min=1, max=sections.MOST_EFFECTS, show_default="3")
     ] = None,
@@ -69,7 +58,7 @@ def diagnose(
             "move are.",
         ),
     ] = None,
-    window: WindowOption = None,
+    window: options.WindowOption = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -79,10 +68,10 @@ def diagnose(
             show_default="one on each core, four at most; one for long records",
         ),
     ] = None,
-    seed: SeedOption = None,
-    resume: ResumeOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    seed: options.SeedOption = None,
+    resume: options.ResumeOption = False,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Find out why records and the nominal model disagree: which effects explain how much of the gap, and what remains.
 
@@ -93,7 +82,7 @@ def diagnose(
     the whole robot above.
     Ctrl-C ends the search with what it has found, --resume goes on.
     """
-    config = config_of(
+    config = options.config_of(
         source, model, out, window, gap__max_effects=max_effects, gap__jobs=jobs, identification__seed=seed,
     )  # fmt: skip
     home = required(config.output.folder)
@@ -103,7 +92,7 @@ def diagnose(
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
         remark_uneven(dataset)
-        use_threads(1)
+        options.use_threads(1)
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
         from hybrid_id.diagnosis.arm import ArmDiagnosis

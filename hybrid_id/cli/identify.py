@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import FitProgress, remark
 from hybrid_id.cli.folder import RESULT, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
@@ -15,24 +16,6 @@ from hybrid_id.cli.inputs import (
     one_joint,
     remark_start_values,
     remark_validation,
-)
-from hybrid_id.cli.options import (
-    DeviceOption,
-    ForceOption,
-    JointOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    PooledOption,
-    ProcessesOption,
-    ResumeOption,
-    SeedOption,
-    SourceArgument,
-    ThreadsOption,
-    WindowOption,
-    config_of,
-    use_device,
-    use_threads,
 )
 from hybrid_id.cli.results import UNDRAWN
 from hybrid_id.config import StudyConfig
@@ -46,11 +29,11 @@ if TYPE_CHECKING:
 
 
 def identify(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
-    pooled: PooledOption = None,
-    joint: JointOption = None,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
+    pooled: options.PooledOption = None,
+    joint: options.JointOption = None,
     starts: Annotated[
         int | None,
         typer.Option(help="Start points; the best end counts.", min=1, max=MOST_STARTS, show_default="1"),
@@ -59,20 +42,20 @@ def identify(
         Literal["l2", "huber", "l1"] | None,
         typer.Option(help="huber and l1 tolerate spikes.", show_default="l2"),
     ] = None,
-    window: WindowOption = None,
-    seed: SeedOption = None,
-    device: DeviceOption = None,
+    window: options.WindowOption = None,
+    seed: options.SeedOption = None,
+    device: options.DeviceOption = None,
     profile: Annotated[
         list[str] | None,
         typer.Option(
             help="Parameter whose interval is found by fits of all others; may be given several times."
         ),
     ] = None,
-    jobs: ProcessesOption = 1,
-    resume: ResumeOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    jobs: options.ProcessesOption = 1,
+    resume: options.ResumeOption = False,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
+    threads: options.ThreadsOption = 1,
 ) -> None:
     """Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.
 
@@ -80,7 +63,7 @@ def identify(
     what it has, --resume goes on: sets that are complete are not fitted again.
     Prefer train for residual networks beside the physics, and for another ODE solver.
     """
-    config = config_of(
+    config = options.config_of(
         source, model, out, window, identification__pooled=pooled, identification__starts=starts,
         identification__loss=loss, identification__seed=seed, identification__device=device,
         statistics__profile=profile or None,
@@ -96,7 +79,7 @@ def identify(
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
-        use_threads(threads)
+        options.use_threads(threads)
         from hybrid_id.cli.results import show_study, write_study
         from hybrid_id.study.checks import check_names
 
@@ -105,7 +88,7 @@ def identify(
             dataset, system, noisier = one_joint(dataset, system, joint, config.identification.seed)
         remark_start_values(dataset, system)
         remark_validation(len(dataset.validation), "identify")
-        use_device(config.identification.device)
+        options.use_device(config.identification.device)
         check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
         study, progress = run(dataset, system, config, jobs=jobs, kept=kept, noisier=noisier)
         leave_earlier(home, progress)

@@ -6,19 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
 from hybrid_id.cli.inputs import check_window, read_model, records_to_replay
-from hybrid_id.cli.options import (
-    ABOVE,
-    DatasetArgument,
-    ForceOption,
-    JsonOption,
-    ModelOption,
-    ThreadsOption,
-    WindowOption,
-    use_threads,
-)
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import beside
 from hybrid_id.errors import InputError
@@ -29,17 +20,17 @@ if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
 Folder = Annotated[
-    Path, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
+    Path, typer.Option("--out", "-o", help=f"Folder for the results. {options.ABOVE}", show_default=False)
 ]
 
 
 def simulate(
-    dataset: DatasetArgument,
+    dataset: options.DatasetArgument,
     out: Folder,
-    model: ModelOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    model: options.ModelOption = None,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
+    threads: options.ThreadsOption = 1,
 ) -> None:
     """Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures."""
     models = [model or beside(dataset)]
@@ -47,16 +38,16 @@ def simulate(
 
 
 def compare(
-    dataset: DatasetArgument,
+    dataset: options.DatasetArgument,
     out: Folder,
     model: Annotated[
         list[Path],
         typer.Option("--model", "-m", help="Model file; give one for each model.", show_default=False),
     ],
-    window: WindowOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    window: options.WindowOption = None,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
+    threads: options.ThreadsOption = 1,
 ) -> None:
     """Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures."""
     window = window or "auto"
@@ -83,7 +74,7 @@ def _replay(
         raise InputError(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
         )
-    use_threads(threads)
+    options.use_threads(threads)
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.page import how_made
     from hybrid_id.reporting.replays import replay_figures, replay_page

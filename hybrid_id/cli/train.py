@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import FitProgress, console, counting, remark, show
 from hybrid_id.cli.folder import (
     CHECKPOINT,
@@ -29,21 +30,6 @@ from hybrid_id.cli.inputs import (
     load_system,
     remark_idle,
 )
-from hybrid_id.cli.options import (
-    DeviceOption,
-    ForceOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    PooledOption,
-    ResumeOption,
-    SeedOption,
-    SourceArgument,
-    ThreadsOption,
-    config_of,
-    use_device,
-    use_threads,
-)
 from hybrid_id.cli.results import files_in, show_study, write_last, write_report, write_study
 from hybrid_id.config import Hybrid, Identification, StudyConfig
 from hybrid_id.errors import InputError
@@ -57,13 +43,13 @@ if TYPE_CHECKING:
 
 
 def train(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
-    resume: ResumeOption = False,
-    pooled: PooledOption = None,
-    seed: SeedOption = None,
-    device: DeviceOption = None,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
+    resume: options.ResumeOption = False,
+    pooled: options.PooledOption = None,
+    seed: options.SeedOption = None,
+    device: options.DeviceOption = None,
     joint: Annotated[
         list[str] | None,
         typer.Option(
@@ -71,9 +57,9 @@ def train(
             "where records left out are surely better for it. May be given several times."
         ),
     ] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
+    threads: options.ThreadsOption = 1,
 ) -> None:
     """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
 
@@ -86,7 +72,7 @@ def train(
     With --joint, a robot's joints get networks one by one, the others as measured, by least squares: seconds a joint,
     so that no fits are kept and --resume, --device and --per-record have no use.
     """
-    config = config_of(
+    config = options.config_of(
         source, model, out, identification__pooled=pooled, identification__seed=seed,
         identification__device=device,
     )  # fmt: skip
@@ -99,7 +85,7 @@ def train(
     with resumable(home):
         refuse_training(home, config, force=force, resume=resume)
         dataset = checked_records(config)
-        use_threads(threads)
+        options.use_threads(threads)
         system = load_system(config, dataset)
         say_how_long(system)
         if any(c.name.startswith("tau_a") for c in dataset.outputs) and any(system.dry):
@@ -107,7 +93,7 @@ def train(
                 f"{config.dataset}: 'train' smooths dry friction, with which the torque at the link (tau_a) jumps; "
                 "leave tau_a out of its outputs, or take 'identify'."
             )
-        use_device(config.identification.device)
+        options.use_device(config.identification.device)
         if config.hybrid is not None:
             if pooled is False:
                 raise InputError(
@@ -169,7 +155,7 @@ def by_joint(
     dataset = checked_records(config)
     with config.at("identification.window"):
         check_window(config.identification.window, dataset.records)
-    use_threads(threads)
+    options.use_threads(threads)
     from hybrid_id.reporting.residual_torques import (
         residuals_page,
         residuals_pictures,
