@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from hybrid_id.cli.console import show
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.folder import files_to_write, write_files
 from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError, close_match
@@ -134,8 +133,11 @@ def excite(
         raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
     if file.is_dir():
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
-    if file.with_suffix(".json") == file:
-        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
+    files = files_to_write(file, ".json", force=force)
+    if plot is not None:
+        files_to_write(plot, force=force)
+        if plot.suffix.lower() != ".png" or plot.resolve() == file.resolve():
+            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
     from hybrid_id.records.excitation import STARTS, usual_tones
     from hybrid_id.reporting.results import as_json as as_json_text
     from hybrid_id.study.excitation import STARTS_A_JOINT
@@ -145,30 +147,24 @@ def excite(
     asked = {
         "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
     }  # fmt: skip
-    with ExitStack() as files:
-        table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(file.with_suffix(".json"), force=force, beside=file))
-        picture = files.enter_context(result_file(plot, force=force)) if plot else None
-        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
-            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
-        if system is not None and robot:
-            limits = (speed or [], torque or [], 0.9 if share is None else share)
-            found = _of_robot(system, band, *limits, rest=rest, **asked)
-        else:
-            found = _of_drive(system, band, amplitude=amplitude, gear=gear, rest=rest, **asked)
-        columns, rows = found.table
-        lines = (",".join(f"{value:.9g}" for value in row) for row in rows)
-        table.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
-        if picture:
-            from hybrid_id.reporting.style import save
+    if system is not None and robot:
+        limits = (speed or [], torque or [], 0.9 if share is None else share)
+        design = _of_robot(system, band, *limits, rest=rest, **asked)
+    else:
+        design = _of_drive(system, band, amplitude=amplitude, gear=gear, rest=rest, **asked)
+    columns, rows = design.table
+    lines = (",".join(f"{value:.9g}" for value in row) for row in rows)
+    contents: dict[Path, str | bytes] = {file: "\n".join([",".join(columns), *lines]) + "\n"}
+    if plot is not None:
+        from hybrid_id.reporting.style import pixels, png
 
-            save(found.figure(), picture)
-        named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
-        text = as_json_text("excite", found.described | asked | named)
-        words.write_text(text + "\n", encoding="utf-8")
+        contents[plot] = png(pixels(design.figure()))
+    named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
+    text = as_json_text("excite", design.described | asked | named)
+    write_files(contents | {files[1]: f"{text}\n"})
     if as_json:
         return show(text)
-    *lines, size = found.lines
+    *lines, size = design.lines
     show(*lines, f"{size}, in {file}" + (f"; picture in {plot}" if plot else ""))
 
 

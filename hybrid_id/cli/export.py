@@ -1,7 +1,7 @@
 """`export`: what was found, in the formats of others."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
@@ -13,18 +13,9 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from hybrid_id.cli.console import LONG, TIMED, bar, remark, rough_time, show
-from hybrid_id.cli.folder import (
-    DIAGNOSIS,
-    RESULT,
-    kind_of,
-    make_parents,
-    refuse_file,
-    remove_empty,
-    result_file,
-)
+from hybrid_id.cli.folder import DIAGNOSIS, RESULT, files_to_write, write_files
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
 from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption, use_threads
-from hybrid_id.cli.results import write_last
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 from hybrid_id.reading import as_written
@@ -130,19 +121,14 @@ def export(
         raise InputError(
             "--sample-time and --width are of the torch program; leave them out, or take --to torch"
         )
-    refuse_file(out, force=force)
-    remove_empty(make_parents(out))  # a place that cannot be written is said before anything is fitted
     if to is Format.mjcf and out.suffix.lower() == ".urdf":
         raise InputError(
             f"{out}: MJCF is written, which no reader of URDF takes; give a file that ends in .xml"
         )
     # the file, then its description and its page; ranges are JSON themselves
     endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
-    files = [out, *(out.with_suffix(ending) for ending in endings)]
-    if out in files[1:]:
-        raise InputError(f"{out} would also be the name of the {kind_of(out)} beside it; take another ending")
-    for one in files[1:]:
-        refuse_file(one, force=force, beside=out)
+    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
+    files = files_to_write(out, *endings, force=force)
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
@@ -158,7 +144,15 @@ def export(
     if made.content is not None:
         about |= {"model": str(file), "file": out.name}
     text = to_json("export", about | made.described)
-    _write(files, made, text, force=force)
+    if made.content is None:
+        write_files({out: f"{text}\n"})
+    else:
+        pages = {} if made.page is None else {files[2]: made.page.html()}
+        write_files({out: made.content} | pages | {files[1]: f"{text}\n"})  # the description comes in last
+        for stale in (
+            files[2:] if made.page is None else ()
+        ):  # that of an earlier model shows the errors of another one
+            stale.unlink(missing_ok=True)
     if as_json:
         return show(text)
     left_out = made.described.get("left_out", [])
@@ -169,22 +163,6 @@ def export(
         show(
             f"the model is in {out}, {f'what it leaves out in {files[1]}' if left_out else 'nothing is left out'}"
         )
-
-
-def _write(files: Sequence[Path], made: Made, text: str, *, force: bool) -> None:
-    """Write the model, its description and its page, all or none; the description comes in last."""
-    with ExitStack() as stack:
-        kept = files if made.page is not None else files[:2]
-        out, *beside = (stack.enter_context(result_file(one, force=force)) for one in kept)
-        if made.content is None:
-            return write_last(out, text)
-        out.write_bytes(made.content)
-        if made.page is not None:
-            made.page.write(beside[1])
-        write_last(beside[0], text)
-    if force and made.page is None:  # that of an earlier model shows the errors of another one
-        for stale in files[2:]:
-            stale.unlink(missing_ok=True)
 
 
 def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, worse: bool) -> Made:

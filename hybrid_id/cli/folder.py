@@ -1,10 +1,9 @@
 """Folders and files of results: complete under their names, or not there at all; filled bit by bit, or resumed."""
 
 import json
-import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
 from hybrid_id.reading import announce, read_below, read_object
-from hybrid_id.records.files import HIDDEN, hidden_beside, locked, write_whole
+from hybrid_id.records.files import HIDDEN, hidden_beside, locked, write_together, write_whole
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -216,38 +215,41 @@ def remove_empty(folders: list[Path]) -> None:
             folder.rmdir()
 
 
-@contextmanager
-def result_file(path: Path, *, force: bool, beside: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary file that takes the name `path` when it is written; see `refuse_file` for ``beside``."""
-    refuse_file(path, force=force, beside=beside)
-    made = make_parents(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-    os.close(handle)
-    try:
-        yield Path(temporary)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-        remove_empty(made)
+def files_to_write(out: Path, *endings: str, force: bool) -> list[Path]:
+    """The file that the user has named, and those of its name that go with it, by their endings.
 
-
-def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
-    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays.
-
-    Args:
-        path: the file.
-        force: whether it may be replaced.
-        beside: the file that the user has named, where this one, of the same name, goes with it.
+    Raises:
+        InputError: one of them cannot be made, exists, or belongs to a folder of results, to a dataset or to the user.
     """
-    named = beside or path
-    which = f"{path}" if beside is None else f"{path}, the {kind_of(path)} that goes with {beside.name},"
-    if path.is_dir():
+    _refuse_file(out, out, force)
+    remove_empty(make_parents(out))  # a place that cannot be written is said before anything is computed
+    files = [out, *(out.with_suffix(ending) for ending in endings)]
+    if out in files[1:]:
         raise InputError(
-            f"{which} is a folder; give {'the name of a file' if beside is None else 'another name'}"
+            f"{out} would also be the name of the {_kind_of(out)} beside it; take another ending"
         )
+    for file in files[1:]:
+        _refuse_file(file, out, force)
+    return files
+
+
+def write_files(contents: Mapping[Path, str | bytes]) -> None:
+    """Write files that belong together, all or none, and the folders above them."""
+    made = [folder for file in contents for folder in make_parents(file)]
+    try:
+        write_together(contents)
+    except BaseException:
+        remove_empty(made)
+        raise
+
+
+def _refuse_file(path: Path, named: Path, force: bool) -> None:
+    alone = path == named
+    which = f"{path}" if alone else f"{path}, the {_kind_of(path)} that goes with {named.name},"
+    if path.is_dir():
+        raise InputError(f"{which} is a folder; give {'the name of a file' if alone else 'another name'}")
     if path.exists() and not force:
-        both = "" if beside is None else " to replace both"
+        both = "" if alone else " to replace both"
         raise InputError(f"{which} exists; give another name than {named.name}, or --force{both}")
     if path.name in (*RESULTS, "model.yaml", "dataset.yaml") and path.exists():
         raise InputError(
@@ -271,8 +273,7 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
         )
 
 
-def kind_of(path: Path) -> str:
-    """What a file is that goes with another one of its name."""
+def _kind_of(path: Path) -> str:
     return "page" if path.suffix == ".html" else "description"
 
 
