@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import typer
 
 from hybrid_id.cli import options
-from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.console import remark
 from hybrid_id.cli.folder import EVENTS, added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
-from hybrid_id.cli.results import files_in, write_last, write_report
+from hybrid_id.cli.results import Results, write_last
 from hybrid_id.cli.train import check_network, say_how_long
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
 from hybrid_id.errors import InputError, listed
@@ -98,26 +98,24 @@ def ablate(
                         write_yaml(make_folder(kept / name) / "model.yaml", result.model)
                 say(name, result, before)
 
-            results, failed = run_cells(
+            done_cells, failed = run_cells(
                 task, cells, lambda name: kept / name / CELL, jobs=jobs, scheduler=scheduler, program=program(),
                 done=done,
             )  # fmt: skip
         worth = (config.hybrid or Hybrid()).worth
-        outcome = gather(results, failed, level=config.statistics.level, worth=worth)
+        outcome = gather(done_cells, failed, level=config.statistics.level, worth=worth)
         text = to_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
         with added_results(home, RESULT, [*(f"{name}.png" for name in PICTURES), "report.html"]) as folder:
-            whole = write_report(
-                folder, home, config, "ablate", figures=lambda: ablation_pictures(outcome),
-                page=lambda pictures: ablation_page(dataset, outcome, pictures),
-            )  # fmt: skip
+            results = Results(folder, home, config, "ablate")
+            whole = results.report(
+                lambda: ablation_pictures(outcome),
+                lambda pictures: ablation_page(dataset, outcome, pictures),
+            )
             if not whole:
                 raise KeyboardInterrupt  # the cells are kept
             write_last(folder / RESULT, text)
-    if as_json:
-        show(text)
-    else:
-        show(ablation_page(dataset, outcome, {}).screen())
-        show(files_in(home, config, RESULT, CELLS, *([EVENTS] if config.output.tensorboard else [])))
+    names = [RESULT, CELLS, *([EVENTS] if config.output.tensorboard else [])]
+    results.show(text, ablation_page(dataset, outcome, {}).screen(), *names, as_json=as_json)
     if failed:
         raise typer.Exit(1)
 

@@ -1,5 +1,6 @@
 """`demo`: the main job on records whose truth is known."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,7 +44,7 @@ def demo(
     refuse_taken(out, force=force, reads=[] if settings is None else [settings])
     use_threads(threads)
     from hybrid_id.cli.identify import leave_earlier, left_out, run
-    from hybrid_id.cli.results import show_study, write_study
+    from hybrid_id.cli.results import Results, show_study, write_study
     from hybrid_id.machines.desk_arm import write_arm
     from hybrid_id.paper.demo import DEMO
     from hybrid_id.paper.twin import write_campaign
@@ -92,9 +93,10 @@ def demo(
         home = out.absolute()
         placed = config.model_copy(update={"dataset": home / DATA, "model": home / DATA / config.model.name})
         draw = progress.cut or not progress.stopped
-        text, whole = write_study(folder, home, "demo", placed, dataset, study, draw=draw)
+        results = Results(folder, home, placed, "demo")
+        text, whole = write_study(results, dataset, study, draw=draw)
         truth = truths[study.selected.records[0]]
-    show_study(study, config, out, text, as_json=as_json)
+    show_study(replace(results, home=out), study, text, as_json=as_json)
     claims = [recovery.inside for recovery in against_truth(study, truth) if recovery.inside is not None]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
     held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""

@@ -17,7 +17,7 @@ from hybrid_id.cli.inputs import (
     remark_start_values,
     remark_validation,
 )
-from hybrid_id.cli.results import UNDRAWN
+from hybrid_id.cli.results import UNDRAWN, Results, show_study, write_study
 from hybrid_id.config import StudyConfig
 from hybrid_id.config.sections import MOST_STARTS
 from hybrid_id.errors import InputError
@@ -80,7 +80,6 @@ def identify(
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
         options.use_threads(threads)
-        from hybrid_id.cli.results import show_study, write_study
         from hybrid_id.study.checks import check_names
 
         system, noisier = load_system(config, dataset), list["Dataset"]()
@@ -94,12 +93,13 @@ def identify(
         leave_earlier(home, progress)
         draw = progress.cut or not progress.stopped  # who ends complete sets waits for no pictures
         with results_folder(home, force=True) as folder:  # kept_fits has asked
-            text, whole = write_study(folder, home, "identify", config, dataset, study, draw=draw)
+            results = Results(folder, home, config, "identify")
+            text, whole = write_study(results, dataset, study, draw=draw)
             words = left_out(config, progress, whole=whole)
             count = kept.count if words else 0
             if count:
                 keep_after(home, folder)
-    show_study(study, config, home, text, as_json=as_json)
+    show_study(results, study, text, as_json=as_json)
     if words:
         more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {words}{more}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hybrid_id.cli import options
-from hybrid_id.cli.console import FitProgress, console, counting, remark, show
+from hybrid_id.cli.console import FitProgress, console, counting, remark
 from hybrid_id.cli.folder import (
     CHECKPOINT,
     EVENTS,
@@ -30,7 +30,7 @@ from hybrid_id.cli.inputs import (
     load_system,
     remark_idle,
 )
-from hybrid_id.cli.results import files_in, show_study, write_last, write_report, write_study
+from hybrid_id.cli.results import Results, show_study, write_last, write_study
 from hybrid_id.config import Hybrid, Identification, StudyConfig
 from hybrid_id.errors import InputError
 
@@ -165,7 +165,6 @@ def by_joint(
     from hybrid_id.reporting.results import write_physics
     from hybrid_id.study import Horizon
     from hybrid_id.study.residual_torques import learn_residuals
-    from hybrid_id.systems.model_file import save_model
 
     system = load_system(config, dataset)
     if system.tree is None:
@@ -184,24 +183,17 @@ def by_joint(
                 horizon=Horizon.of(config.identification.window),
                 signal_share=config.preprocessing.signal_share, say=say,
             )  # fmt: skip
-        save_model(found.system, folder / "model.yaml", home)
-        save_model(found.physics, folder / "physics.yaml", home)
+        results = Results(folder, home, config, "train")
+        results.model(found.system)
+        results.model(found.physics, "physics.yaml")
         write_physics(folder / "parameters.csv", found)
         text = to_json("train", {"dataset": dataset.name} | residuals_result(found))
-        whole = write_report(
-            folder,
-            home,
-            config,
-            "train",
-            figures=lambda: residuals_pictures(found),
-            page=lambda pictures: residuals_page(dataset, found, pictures),
+        whole = results.report(
+            lambda: residuals_pictures(found), lambda pictures: residuals_page(dataset, found, pictures)
         )
         write_last(folder / RESULT, text)
-    if as_json:
-        show(text)
-    else:
-        show(residuals_page(dataset, found, {}).screen())
-        show(files_in(home, config, "parameters.csv", RESULT, "model.yaml", "physics.yaml"))
+    names = ("parameters.csv", RESULT, "model.yaml", "physics.yaml")
+    results.show(text, residuals_page(dataset, found, {}).screen(), *names, as_json=as_json)
     if found.interrupted or not whole:
         raise typer.Exit(130)
 
@@ -247,8 +239,9 @@ def _physics(
         level=config.statistics.level,
     )
     with added_results(home) as folder:
-        text, whole = write_study(folder, home, "train", config, dataset, study)
-    show_study(study, config, home, text, as_json=as_json)
+        results = Results(folder, home, config, "train")
+        text, whole = write_study(results, dataset, study)
+    show_study(results, study, text, as_json=as_json)
     if any(system.dry):
         remark(
             f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes "
@@ -267,7 +260,6 @@ def _hybrid(
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.tensorboard import TrainingLog, write_images
     from hybrid_id.study.hybrid import hybrid_residuals, hybridise, physics_alone
-    from hybrid_id.systems.model_file import save_model
 
     share, wish = config.preprocessing.signal_share, config.hybrid or Hybrid()
     err, saved = console(stderr=True), home / CHECKPOINT
@@ -299,23 +291,17 @@ def _hybrid(
         return hybrid_page(dataset, study, pictures, alone=alone, residuals=residuals)
 
     with added_results(home) as folder:
-        save_model(study.result.system, folder / "model.yaml", home)
-        save_model(study.result.physics.system, folder / "physics.yaml", home)
-        whole = write_report(
-            folder,
-            home,
-            config,
-            "train",
-            figures=lambda: hybrid_pictures(study),
-            page=page,
+        results = Results(folder, home, config, "train")
+        results.model(study.result.system)
+        results.model(study.result.physics.system, "physics.yaml")
+        whole = results.report(
+            lambda: hybrid_pictures(study),
+            page,
             events=lambda place, images: write_images(place / "figures", images),
         )
         write_last(folder / RESULT, text)
-    if as_json:
-        show(text)
-    else:
-        show(hybrid_tables(study, dataset))
-        show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
+    names = (RESULT, "model.yaml", "physics.yaml")
+    results.show(text, hybrid_tables(study, dataset), *names, as_json=as_json)
     return study.result.interrupted or not whole
 
 
