@@ -359,45 +359,21 @@ def keep_after(home: Path, folder: Path) -> None:
 
 
 @contextmanager
-def resumable(path: Path) -> Iterator[None]:
-    """Let Ctrl-C say how a training goes on whose checkpoint is in the folder."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if (path / CHECKPOINT).exists():
-            raise KeyboardInterrupt(f"stopped; {go_on(path)} from its last checkpoint") from None
-        raise
-
-
-def stopped(path: Path) -> str:
-    """What to say of a training that Ctrl-C has ended with results."""
-    return f"stopped; {go_on(path)} from here"
-
-
-def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:
-    """End a training that Ctrl-C has stopped before anything was kept, before it shows what nobody could go on from."""
-    if interrupted and not (path / CHECKPOINT).exists():
-        raise KeyboardInterrupt("stopped before the first checkpoint; no results were written")
-
-
-def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> None:
-    """Raise InputError where a training can neither begin nor go on, before anything is computed."""
-    _refuse_resume_and_force(resume, force)
-    if resume and not (path / CHECKPOINT).exists():
-        raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    # what was killed before its first checkpoint has nothing to lose
-    refuse_taken(path, force=force or resume or only_begun(path), reads=None if resume else config.reads)
-
-
-@contextmanager
 def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> Iterator[None]:
     """Make the folder itself for a long run, so that others can look on; `result.json` comes in last.
 
     What an earlier run left is put aside as `path.old` (unless this one resumes it), comes back when the new run fails
     before its first checkpoint, and goes when it is complete. A new run saves its settings first; those that the
-    checkpoint of a resumed one belongs to stay until this one is known to fit it.
+    checkpoint of a resumed one belongs to stay until this one is known to fit it. Ctrl-C says how to go on.
+
+    Raises:
+        InputError: the training can neither begin nor go on there.
     """
-    refuse_training(path, config, force=force, resume=resume)
+    _refuse_resume_and_force(resume, force)
+    if resume and not (path / CHECKPOINT).exists():
+        raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+    # what was killed before its first checkpoint has nothing to lose
+    refuse_taken(path, force=force or resume or only_begun(path), reads=None if resume else config.reads)
     made = make_parents(path)
     aside = path.with_name(f"{path.name}.old")
     replaced = path.exists() and any(path.iterdir()) and not resume
@@ -420,12 +396,14 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
                 (path / BEGUN).write_text(ASIDE if ours else "")
                 config.save(path / SETTINGS)
             yield
-        except BaseException:
+        except BaseException as error:
             if not (path / CHECKPOINT).exists():
                 shutil.rmtree(path)
                 if ours:
                     aside.replace(path)
                 remove_empty(made)
+            elif isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"stopped; {go_on(path)} from its last checkpoint") from None
             raise
         (path / BEGUN).unlink(missing_ok=True)
         _name_files(path, but=own)

@@ -14,13 +14,10 @@ from hybrid_id.cli.folder import (
     EVENTS,
     RESULT,
     added_results,
-    leave_without_checkpoint,
+    go_on,
     live_folder,
-    refuse_training,
     required,
     results_folder,
-    resumable,
-    stopped,
 )
 from hybrid_id.cli.inputs import (
     MOST_JOINTS,
@@ -82,8 +79,7 @@ def train(
             raise InputError("--joint fits one set over all records; leave --per-record out")
         by_joint(config, home, joint, force=force, resume=resume, as_json=as_json, threads=threads)
         return
-    with resumable(home):
-        refuse_training(home, config, force=force, resume=resume)
+    with live_folder(home, config, force=force, resume=resume):
         dataset = checked_records(config)
         options.use_threads(threads)
         system = load_system(config, dataset)
@@ -124,11 +120,10 @@ def train(
                     "'train' has one start and a smooth friction of its own ('training.width', 'training.fine'), so "
                     f"that {', '.join(idle)} of 'identification' {'is' if len(idle) == 1 else 'are'} not used"
                 )
-        with live_folder(home, config, force=force, resume=resume):
-            run = _hybrid if config.hybrid is not None else _physics
-            if run(dataset, system, config, home, resume=resume, as_json=as_json):
-                remark(stopped(home))  # what this one replaces is kept
-                raise typer.Exit(130)
+        run = _hybrid if config.hybrid is not None else _physics
+        if run(dataset, system, config, home, resume=resume, as_json=as_json):
+            remark(f"stopped; {go_on(home)} from here")  # what this one replaces is kept
+            raise typer.Exit(130)
 
 
 def by_joint(
@@ -228,7 +223,8 @@ def _physics(
             progress=progress,
         )  # fmt: skip
     interrupted = any(result.status == "interrupted" for result in sets)
-    leave_without_checkpoint(home, interrupted=interrupted)
+    if interrupted and not saved.exists():
+        raise KeyboardInterrupt  # no results were written
     study = analyse_fits(
         dataset,
         system,
@@ -281,7 +277,8 @@ def _hybrid(
             level=config.statistics.level, writer=log, checkpoint=saved, resume=saved if resume else None,
             progress=progress,
         )  # fmt: skip
-    leave_without_checkpoint(home, interrupted=study.result.interrupted)
+    if study.result.interrupted and not saved.exists():
+        raise KeyboardInterrupt  # no results were written
     residuals = hybrid_residuals(dataset, study, signal_share=share)
     content = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
     text = to_json("train", {"dataset": dataset.name} | content)
