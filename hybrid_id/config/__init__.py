@@ -21,7 +21,6 @@ from hybrid_id.config.sections import (
     Gap,
     Hybrid,
     Identification,
-    Network,
     Output,
     Preprocessing,
     Previous,
@@ -33,23 +32,6 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.yaml_file import FilePath, read_yaml, validate, write_yaml
 
 MODEL_NAME = "model.yaml"
-__all__ = [
-    "MODEL_NAME",
-    "Ablation",
-    "Gap",
-    "Hybrid",
-    "Identification",
-    "Network",
-    "Output",
-    "Preprocessing",
-    "Previous",
-    "Statistics",
-    "StudyConfig",
-    "Training",
-    "beside",
-    "load_config",
-    "study_config",
-]
 
 
 class StudyConfig(Section):
