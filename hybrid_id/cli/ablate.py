@@ -55,7 +55,6 @@ def ablate(
         other := read_object(home / RESULT, "ablation").get("dataset")
     ) != dataset.name:
         raise InputError(f"{home} holds the ablation of another dataset, '{other}'; give another folder")
-    options.use_threads(1)
     system = load_system(config, dataset)
     say_how_long(system)
     task, cells = planned(config, dataset, system)

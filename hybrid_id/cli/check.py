@@ -22,7 +22,6 @@ def check(
     joint: options.JointOption = None,
     full: Annotated[bool, typer.Option("--full", help="Show remarks of severity info too.")] = False,
     as_json: options.JsonOption = False,
-    threads: options.ThreadsOption = 1,
 ) -> None:
     """Check records: quality, sampling, excitation, and with a model which of its parameters they identify.
 
@@ -51,7 +50,6 @@ def check(
             show(f"({more}, for information only: --full shows {them})")
     found = None
     if path is not None and not any(finding.severity == "error" for finding in findings):
-        options.use_threads(threads)
         from hybrid_id.study import check_model
 
         system = system or read_model(path)

@@ -9,7 +9,7 @@ import typer
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
-from hybrid_id.cli.options import ABOVE, ForceOption, JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import ABOVE, ForceOption, JsonOption
 from hybrid_id.config import study_config
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
@@ -31,7 +31,6 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0, max=MOST_SEED)] = 0,
     force: ForceOption = False,
     as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
 ) -> None:
     """Identify a drive, or an arm, from simulated records whose truth is known, and show estimates beside the truth.
 
@@ -42,7 +41,6 @@ def demo(
     if robot and settings is not None:
         raise InputError("--settings belongs to the drive; leave out --robot or --settings")
     refuse_taken(out, force=force, reads=[] if settings is None else [settings])
-    use_threads(threads)
     from hybrid_id.cli.identify import leave_earlier, left_out, run
     from hybrid_id.cli.results import Results, show_study, write_study
     from hybrid_id.machines.desk_arm import write_arm

@@ -92,7 +92,6 @@ def diagnose(
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
         remark_uneven(dataset)
-        options.use_threads(1)
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
         from hybrid_id.diagnosis.arm import ArmDiagnosis

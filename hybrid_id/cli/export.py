@@ -15,7 +15,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainin
 from hybrid_id.cli.console import LONG, TIMED, bar, remark, rough_time, show
 from hybrid_id.cli.folder import DIAGNOSIS, RESULT, files_to_write, write_files
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
-from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption, use_threads
+from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 from hybrid_id.reading import as_written
@@ -129,7 +129,6 @@ def export(
     endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
     endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
     files = files_to_write(out, *endings, force=force)
-    use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model

@@ -69,7 +69,6 @@ def fleet(
             raise InputError(f"{home} holds a fleet of other robots; give another folder")
     check_window(wish, datasets[0].train)
     remark_validation(sum(len(one.validation) for one in datasets), "fleet")
-    options.use_threads(1)
     from hybrid_id.cli.pieces import kept_pieces
     from hybrid_id.reporting.fleet import (
         fleet_page,

@@ -55,7 +55,6 @@ def identify(
     resume: options.ResumeOption = False,
     force: options.ForceOption = False,
     as_json: options.JsonOption = False,
-    threads: options.ThreadsOption = 1,
 ) -> None:
     """Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.
 
@@ -79,7 +78,6 @@ def identify(
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
-        options.use_threads(threads)
         from hybrid_id.study.checks import check_names
 
         system, noisier = load_system(config, dataset), list["Dataset"]()

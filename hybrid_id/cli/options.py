@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from hybrid_id.config import StudyConfig, study_config
-from hybrid_id.config.sections import MOST_JOBS, MOST_SEED, MOST_THREADS
+from hybrid_id.config.sections import MOST_JOBS, MOST_SEED
 from hybrid_id.errors import InputError
 
 ABOVE = "Folders above it are made."
@@ -51,12 +51,6 @@ WindowOption = Annotated[
         help="Horizon: free runs of this length from measured states, over whole records, or from rest to rest; "
         "auto: over whole records where they follow them.",
         show_default="auto",
-    ),
-]
-ThreadsOption = Annotated[
-    int,
-    typer.Option(
-        help="Threads inside torch; one is fastest for records of usual size.", min=1, max=MOST_THREADS
     ),
 ]
 
@@ -123,13 +117,6 @@ def config_of(
         seconds = horizon.seconds if horizon is not None and horizon.kind == "windows" else window
         named["identification.window"] = seconds
     return study_config(source, named)
-
-
-def use_threads(count: int) -> None:
-    """Set torch's threads for this process."""
-    import torch
-
-    torch.set_num_threads(count)
 
 
 def use_device(name: str) -> str:

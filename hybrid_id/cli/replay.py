@@ -30,11 +30,10 @@ def simulate(
     model: options.ModelOption = None,
     force: options.ForceOption = False,
     as_json: options.JsonOption = False,
-    threads: options.ThreadsOption = 1,
 ) -> None:
     """Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures."""
     models = [model or beside(dataset)]
-    _replay("simulate", dataset, models, out, window="whole", force=force, as_json=as_json, threads=threads)
+    _replay("simulate", dataset, models, out, window="whole", force=force, as_json=as_json)
 
 
 def compare(
@@ -47,11 +46,10 @@ def compare(
     window: options.WindowOption = None,
     force: options.ForceOption = False,
     as_json: options.JsonOption = False,
-    threads: options.ThreadsOption = 1,
 ) -> None:
     """Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures."""
     window = window or "auto"
-    _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json, threads=threads)
+    _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json)
 
 
 def _replay(
@@ -63,7 +61,6 @@ def _replay(
     window: str,
     force: bool,
     as_json: bool,
-    threads: int,
 ) -> None:
     refuse_taken(out, force=force, reads=[path, *models])
     twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
@@ -74,7 +71,6 @@ def _replay(
         raise InputError(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
         )
-    options.use_threads(threads)
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.page import how_made
     from hybrid_id.reporting.replays import replay_figures, replay_page

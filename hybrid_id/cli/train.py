@@ -56,7 +56,6 @@ def train(
     ] = None,
     force: options.ForceOption = False,
     as_json: options.JsonOption = False,
-    threads: options.ThreadsOption = 1,
 ) -> None:
     """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
 
@@ -77,11 +76,10 @@ def train(
     if joint:
         if pooled is False:
             raise InputError("--joint fits one set over all records; leave --per-record out")
-        by_joint(config, home, joint, force=force, resume=resume, as_json=as_json, threads=threads)
+        by_joint(config, home, joint, force=force, resume=resume, as_json=as_json)
         return
     with live_folder(home, config, force=force, resume=resume):
         dataset = checked_records(config)
-        options.use_threads(threads)
         system = load_system(config, dataset)
         say_how_long(system)
         if any(c.name.startswith("tau_a") for c in dataset.outputs) and any(system.dry):
@@ -134,7 +132,6 @@ def by_joint(
     force: bool,
     resume: bool,
     as_json: bool,
-    threads: int,
 ) -> None:
     """Networks at a robot's joints, one by one: write the folder of results and print them."""
     if config.hybrid is not None:
@@ -150,7 +147,6 @@ def by_joint(
     dataset = checked_records(config)
     with config.at("identification.window"):
         check_window(config.identification.window, dataset.records)
-    options.use_threads(threads)
     from hybrid_id.reporting.residual_torques import (
         residuals_page,
         residuals_pictures,

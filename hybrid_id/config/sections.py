@@ -9,8 +9,8 @@ from hybrid_id.records.schema import ResampleEntry
 from hybrid_id.records.yaml_file import FilePath
 
 MOST_SEED = 2**32 - 1  # what every generator of random numbers takes
-MOST_STARTS, MOST_JOBS, MOST_THREADS, MOST_EFFECTS = 10_000, 1000, 1000, 100
-"""What a command may be asked for at most: start points, processes, threads, effects."""
+MOST_STARTS, MOST_JOBS, MOST_EFFECTS = 10_000, 1000, 100
+"""What a command may be asked for at most: start points, processes, effects."""
 SMALLEST, LARGEST = 1e-12, 1e12
 """Of a quantity that a study file gives, in its unit; beyond them squares are lost, or nothing ends."""
 
