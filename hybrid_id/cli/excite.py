@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -20,12 +19,6 @@ if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
 MAX_SAMPLES = 1_000_000
-
-
-class Act(StrEnum):
-    """How much play and flexibility of the gear are to act."""
-
-    MOST, LEAST = "most", "least"
 
 
 def excite(
@@ -57,7 +50,7 @@ def excite(
         ),
     ] = None,
     gear: Annotated[
-        Act | None,
+        Literal["most", "least"] | None,
         typer.Option(
             help="With --model: the part of the band in which play and flexibility of its gear act most, or least.",
             show_default=False,
@@ -189,7 +182,7 @@ def _of_drive(
     band: tuple[float, float],
     *,
     amplitude: float,
-    gear: Act | None,
+    gear: Literal["most", "least"] | None,
     rest: float,
     **asked: Any,
 ) -> Designed:
@@ -204,12 +197,12 @@ def _of_drive(
         from hybrid_id.study.excitation import bands_by_gear
 
         motion = {key: asked[key] for key in ("sample_time", "duration", "tones")}
-        parts = bands_by_gear(system, band, gear.value, amplitude=amplitude, **motion)
+        parts = bands_by_gear(system, band, gear, amplitude=amplitude, **motion)
         band = parts[0].band
         (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
         lines = [
             f"Between {low:.3g} and {high:.3g} Hz the gear's deflection is {100 * parts[0].share:.2g} % of the motor's "
-            f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
+            f"motion, the {'largest' if gear == 'most' else 'smallest'} of {len(parts)} parts of the band "
             f"({100 * least:.2g} to {100 * most:.2g} %)."
         ]
     design = design_multisine(band, amplitude_limits=amplitude, **asked)

@@ -3,11 +3,10 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -35,14 +34,6 @@ SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
 
 
-class Format(StrEnum):
-    """What to write."""
-
-    mjcf = "mjcf"
-    ranges = "ranges"
-    torch = "torch"
-
-
 @dataclass(frozen=True)
 class Made:
     """What a format comes to.
@@ -68,7 +59,7 @@ def export(
         ),
     ],
     to: Annotated[
-        Format,
+        Literal["mjcf", "ranges", "torch"],
         typer.Option(
             help="mjcf: a MuJoCo model; ranges: for domain randomisation; torch: one step as a program."
         ),
@@ -111,35 +102,34 @@ def export(
     those of --check, beside the nominal and the re-fitted model; what it loses there is fitted anew in MuJoCo, and a
     corrected model that stays worse than the re-fitted one is refused.
     """
-    if check is not None and to is not Format.mjcf:
+    if check is not None and to != "mjcf":
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
-    if worse and to is not Format.mjcf:
+    if worse and to != "mjcf":
         raise InputError(
             "--worse writes a model that is worse in MuJoCo; leave it out, --force replaces files that exist"
         )
-    if to is not Format.torch and (sample_time, width) != (None, None):
+    if to != "torch" and (sample_time, width) != (None, None):
         raise InputError(
             "--sample-time and --width are of the torch program; leave them out, or take --to torch"
         )
-    if to is Format.mjcf and out.suffix.lower() == ".urdf":
+    if to == "mjcf" and out.suffix.lower() == ".urdf":
         raise InputError(
             f"{out}: MJCF is written, which no reader of URDF takes; give a file that ends in .xml"
         )
     # the file, then its description and its page; ranges are JSON themselves
-    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
-    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
+    endings = {"ranges": (), "mjcf": (".json", ".html"), "torch": (".json",)}[to]
     files = files_to_write(out, *endings, force=force)
     from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model
     system = read_model(file)
-    if to is Format.ranges:
+    if to == "ranges":
         made = _ranges(system, file, out)
-    elif to is Format.mjcf:
+    elif to == "mjcf":
         made = _mjcf(system, file, check, out, worse=worse)
     else:
         made = _program(system, out, sample_time or SAMPLE_TIME, width or WIDTH)
-    about = {"model": str(model), "format": to.value}
+    about = {"model": str(model), "format": to}
     if made.content is not None:
         about |= {"model": str(file), "file": out.name}
     text = to_json("export", about | made.described)
