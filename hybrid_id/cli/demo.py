@@ -26,7 +26,7 @@ def demo(
     ] = False,
     settings: Annotated[
         Path | None,
-        typer.Option(help="Settings of another drive, configs/twin_link1.yaml say.", show_default=False),
+        typer.Option(help="Settings of another drive, configs/twin_link1.yaml say."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0, max=MOST_SEED)] = 0,
     force: ForceOption = False,

@@ -55,7 +55,7 @@ def diagnose(
         typer.Option(
             help="Joint of a robot to diagnose by itself, the others moving as they were measured; may be given "
             "several times, and brings the others of its coupled gear. Of a robot of more than two joints all that "
-            "move are.",
+            "move are."
         ),
     ] = None,
     window: options.WindowOption = None,

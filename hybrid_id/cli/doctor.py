@@ -32,8 +32,7 @@ def doctor(
     ahead: Annotated[
         bool,
         typer.Option(
-            "--ahead",
-            help="First compile the code of the shipped systems for all who use this environment.",
+            "--ahead", help="First compile the code of the shipped systems for all who use this environment."
         ),
     ] = False,
     as_json: JsonOption = False,

@@ -28,7 +28,6 @@ def excite(
             "--out",
             "-o",
             help=f"CSV file to write: columns t (s) and u1, of a robot goal1, goal2 ... {ABOVE}",
-            show_default=False,
         ),
     ],
     band: Annotated[
@@ -52,23 +51,20 @@ def excite(
     gear: Annotated[
         Literal["most", "least"] | None,
         typer.Option(
-            help="With --model: the part of the band in which play and flexibility of its gear act most, or least.",
-            show_default=False,
+            help="With --model: the part of the band in which play and flexibility of its gear act most, or least."
         ),
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option("--model", "-m", help="Model whose gear has them, or a robot's.", show_default=False),
+        typer.Option("--model", "-m", help="Model whose gear has them, or a robot's."),
     ] = None,
     speed: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Largest speed of a robot's joint: NAME=VALUE, or VALUE for all.", show_default=False
-        ),
+        typer.Option(help="Largest speed of a robot's joint: NAME=VALUE, or VALUE for all."),
     ] = None,
     torque: Annotated[
         list[str] | None,
-        typer.Option(help="Largest torque of a joint's motor, at the joint; as --speed.", show_default=False),
+        typer.Option(help="Largest torque of a joint's motor, at the joint; as --speed."),
     ] = None,
     share: Annotated[
         float | None, typer.Option(help="Share of a robot's limits that is used.", show_default="0.9")
@@ -86,7 +82,7 @@ def excite(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0, max=MOST_SEED)] = 0,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.")] = None,
     force: ForceFilesOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -54,9 +54,7 @@ class Made:
 def export(
     model: Annotated[
         Path,
-        typer.Argument(
-            metavar="MODEL", help="Model file, or a folder of results with model.yaml.", show_default=False
-        ),
+        typer.Argument(metavar="MODEL", help="Model file, or a folder of results with model.yaml."),
     ],
     to: Annotated[
         Literal["mjcf", "ranges", "torch"],
@@ -64,13 +62,10 @@ def export(
             help="mjcf: a MuJoCo model; ranges: for domain randomisation; torch: one step as a program."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help=f"File to write. {ABOVE}", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"File to write. {ABOVE}")],
     check: Annotated[
         Path | None,
-        typer.Option(
-            help="Dataset to replay in MuJoCo and here; by default the run's test records.",
-            show_default=False,
-        ),
+        typer.Option(help="Dataset to replay in MuJoCo and here; by default the run's test records."),
     ] = None,
     sample_time: Annotated[
         float | None,

@@ -28,13 +28,11 @@ MOST = 10_000
 def fleet(
     robots: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="Folder with one dataset folder a robot.", show_default=False),
+        typer.Argument(metavar="FOLDER", help="Folder with one dataset folder a robot."),
     ],
     model: Annotated[
         Path | None,
-        typer.Option(
-            "--model", "-m", help="Model file of all; FOLDER/model.yaml by default.", show_default=False
-        ),
+        typer.Option("--model", "-m", help="Model file of all; FOLDER/model.yaml by default."),
     ] = None,
     out: options.OutOption = None,
     window: options.WindowOption = None,

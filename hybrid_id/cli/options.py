@@ -15,23 +15,17 @@ ABOVE = "Folders above it are made."
 
 DatasetArgument = Annotated[
     Path,
-    typer.Argument(
-        metavar="DATASET", help="Folder with dataset.yaml, or a dataset file.", show_default=False
-    ),
+    typer.Argument(metavar="DATASET", help="Folder with dataset.yaml, or a dataset file."),
 ]
 SourceArgument = Annotated[
     Path,
-    typer.Argument(
-        metavar="CONFIG|DATASET", help="Study file, or a dataset to use with --model.", show_default=False
-    ),
+    typer.Argument(metavar="CONFIG|DATASET", help="Study file, or a dataset to use with --model."),
 ]
 ModelOption = Annotated[
     Path | None,
-    typer.Option("--model", "-m", help="Model file; DATASET/model.yaml by default.", show_default=False),
+    typer.Option("--model", "-m", help="Model file; DATASET/model.yaml by default."),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
-]
+OutOption = Annotated[Path | None, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}")]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace results of an earlier run, once the new ones are complete.")
 ]
@@ -39,9 +33,7 @@ ForceFilesOption = Annotated[bool, typer.Option("--force", help="Replace files t
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 SeedOption = Annotated[
     int | None,
-    typer.Option(
-        help="Seed of everything that is drawn at random.", min=0, max=MOST_SEED, show_default=False
-    ),
+    typer.Option(help="Seed of everything that is drawn at random.", min=0, max=MOST_SEED),
 ]
 DeviceOption = Annotated[str | None, typer.Option(help="Where to compute: cpu or cuda.", show_default="cpu")]
 WindowOption = Annotated[
@@ -80,7 +72,7 @@ ProcessesOption = Annotated[
 ]
 BackendOption = Annotated[Backend, typer.Option(help="joblib: this machine; dask: an existing cluster.")]
 SchedulerOption = Annotated[
-    str | None, typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.", show_default=False)
+    str | None, typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.")
 ]
 
 

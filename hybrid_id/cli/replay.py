@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from hybrid_id.study import Comparison
     from hybrid_id.systems.chain import System
 
-Folder = Annotated[
-    Path, typer.Option("--out", "-o", help=f"Folder for the results. {options.ABOVE}", show_default=False)
-]
+Folder = Annotated[Path, typer.Option("--out", "-o", help=f"Folder for the results. {options.ABOVE}")]
 
 
 def simulate(
@@ -41,7 +39,7 @@ def compare(
     out: Folder,
     model: Annotated[
         list[Path],
-        typer.Option("--model", "-m", help="Model file; give one for each model.", show_default=False),
+        typer.Option("--model", "-m", help="Model file; give one for each model."),
     ],
     window: options.WindowOption = None,
     force: options.ForceOption = False,

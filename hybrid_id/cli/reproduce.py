@@ -17,16 +17,14 @@ from hybrid_id.reporting.provenance import program
 def reproduce(
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help=f"Folder for the page and its parts. {ABOVE}", show_default=False),
+        typer.Option("--out", "-o", help=f"Folder for the page and its parts. {ABOVE}"),
     ],
     quick: Annotated[
         bool, typer.Option("--quick", help="Two short records a stage: a look at everything.")
     ] = False,
     seeds: Annotated[
         int | None,
-        typer.Option(
-            help="Runs of each closed loop; 20, with --quick 2.", min=1, max=1000, show_default=False
-        ),
+        typer.Option(help="Runs of each closed loop; 20, with --quick 2.", min=1, max=1000),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -17,16 +17,11 @@ if TYPE_CHECKING:
 def schema(
     kind: Annotated[
         Literal["dataset", "model", "study", "motor"],
-        typer.Argument(
-            help="Kind of file: dataset.yaml, model.yaml, a study file, a motor's data sheet.",
-            show_default=False,
-        ),
+        typer.Argument(help="Kind of file: dataset.yaml, model.yaml, a study file, a motor's data sheet."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", help=f"File to write; the screen by default. {ABOVE}", show_default=False
-        ),
+        typer.Option("--out", "-o", help=f"File to write; the screen by default. {ABOVE}"),
     ] = None,
     force: ForceFilesOption = False,
 ) -> None:
