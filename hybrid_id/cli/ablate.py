@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from hybrid_id.cli import options
-from hybrid_id.cli.console import remark
+from hybrid_id.cli.console import kept_pieces, remark
 from hybrid_id.cli.folder import EVENTS, added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.results import Results, write_last
@@ -62,7 +62,6 @@ def ablate(
         remark(
             f"the study file has no section 'ablation': the {len(cells)} cells of the default plan are computed"
         )
-    from hybrid_id.cli.pieces import kept_pieces
     from hybrid_id.records.yaml_file import write_yaml
     from hybrid_id.reporting.ablation import (
         PICTURES,

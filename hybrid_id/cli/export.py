@@ -1,17 +1,14 @@
 """`export`: what was found, in the formats of others."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hybrid_id.cli.console import LONG, TIMED, bar, remark, rough_time, show
+from hybrid_id.cli.console import doing, remark, show
 from hybrid_id.cli.folder import DIAGNOSIS, RESULT, files_to_write, write_files
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
 from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
@@ -220,36 +217,10 @@ def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetError
         models[REFITTED] = read_model(refit)
     remark("replaying in MuJoCo; what it cannot carry is fitted there to the train records")
     train = replace(own, records=own.train) if own is not None and own.train else None
-    with _replays() as progress:
+    with doing("MuJoCo: ") as progress:
         return target_errors(
             models | {label: system}, judges, train=train, horizon=horizon, progress=progress
         )
-
-
-@contextmanager
-def _replays() -> "Iterator[Callable[[str, int, int], None]]":
-    """Bar over the replays in MuJoCo; of a fit there that takes long, the time is said once it is known."""
-    stage, since = "", 0.0
-    with bar(
-        TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
-    ) as shown:
-        task = shown.add_task("replaying in MuJoCo", total=None)
-
-        def say(now: str, done: int, total: int) -> None:
-            nonlocal stage, since
-            if now != stage:
-                stage, since = now, monotonic()
-                shown.reset(task)
-            left = (monotonic() - since) / max(done - 1, 1) * (total - done)
-            if done == TIMED + 1 and left > LONG:
-                shown.console.print(
-                    f"{stage}: the fit takes {rough_time(left)} at most, a guess by its first {TIMED} replays",
-                    style="dim", markup=False, soft_wrap=True,
-                )  # fmt: skip
-            words = f"MuJoCo: {stage}" + (f", {done} of at most {total}" if total > 1 else "")
-            shown.update(task, description=words, completed=done, total=total if total > 1 else None)
-
-        yield say
 
 
 def _run_of(file: Path) -> "tuple[StudyConfig, Horizon] | None":

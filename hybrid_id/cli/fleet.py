@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hybrid_id.cli import options
-from hybrid_id.cli.console import counting, remark, show
+from hybrid_id.cli.console import counting, kept_pieces, remark, show
 from hybrid_id.cli.folder import added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_window, load_records, read_model, refuse_errors, remark_validation
 from hybrid_id.cli.results import write_last
@@ -67,7 +67,6 @@ def fleet(
             raise InputError(f"{home} holds a fleet of other robots; give another folder")
     check_window(wish, datasets[0].train)
     remark_validation(sum(len(one.validation) for one in datasets), "fleet")
-    from hybrid_id.cli.pieces import kept_pieces
     from hybrid_id.reporting.fleet import (
         fleet_page,
         fleet_pictures,
