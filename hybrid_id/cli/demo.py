@@ -25,8 +25,7 @@ def demo(
         bool, typer.Option("--robot", help="An arm of six servos, from its MJCF, in place of one drive.")
     ] = False,
     settings: Annotated[
-        Path | None,
-        typer.Option(help="Settings of another drive, configs/twin_link1.yaml say."),
+        Path | None, typer.Option(help="Settings of another drive, configs/twin_link1.yaml say.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0, max=MOST_SEED)] = 0,
     force: ForceOption = False,

@@ -37,10 +37,7 @@ def simulate(
 def compare(
     dataset: options.DatasetArgument,
     out: Folder,
-    model: Annotated[
-        list[Path],
-        typer.Option("--model", "-m", help="Model file; give one for each model."),
-    ],
+    model: Annotated[list[Path], typer.Option("--model", "-m", help="Model file; give one for each model.")],
     window: options.WindowOption = None,
     force: options.ForceOption = False,
     as_json: options.JsonOption = False,
@@ -51,14 +48,7 @@ def compare(
 
 
 def _replay(
-    command: str,
-    path: Path,
-    models: list[Path],
-    out: Path,
-    *,
-    window: str,
-    force: bool,
-    as_json: bool,
+    command: str, path: Path, models: list[Path], out: Path, *, window: str, force: bool, as_json: bool
 ) -> None:
     refuse_taken(out, force=force, reads=[path, *models])
     twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
