@@ -1,22 +1,13 @@
 """The section of a study file that says what `ablate` compares, and which wishes make no comparison."""
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import BeforeValidator, Field
 
-from hybrid_id.config.sections import MOST_SEED, Neurons, Positive, Section
+from hybrid_id.config.sections import MOST_SEED, Distinct, Neurons, Positive, Section
 from hybrid_id.parameters import MOST_STATES
 
 MOST_REPEATS = 1000
-Item = TypeVar("Item")
-
-
-def _distinct(values: list[Any]) -> list[Any]:
-    """The values as they are; a ValueError where one is there twice."""
-    for k, value in enumerate(values):
-        if value in values[:k]:
-            raise ValueError(f"{value} is given twice; keep one of them")
-    return values
 
 
 def _seeds(value: Any) -> Any:
@@ -28,7 +19,6 @@ def _seeds(value: Any) -> Any:
     return list(range(value))
 
 
-Distinct = Annotated[list[Item], Field(min_length=1), AfterValidator(_distinct)]
 Places = Annotated[
     Distinct[str],
     BeforeValidator(lambda value: [value] if isinstance(value, str) else value, str | list[str]),

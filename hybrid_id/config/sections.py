@@ -1,8 +1,8 @@
 """The sections of a study file, with all their defaults."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES
 from hybrid_id.records.schema import ResampleEntry
@@ -28,6 +28,20 @@ Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
 Price = Annotated[float, Field(ge=0, le=LARGEST)]
 Stages = Annotated[list[tuple[Positive, Count]], Field(max_length=100)]
 """Stages before the whole records, each (length of a window [s], use one window in this many)."""
+
+
+Item = TypeVar("Item")
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    """The values as they are; a ValueError where one is there twice."""
+    for k, value in enumerate(values):
+        if value in values[:k]:
+            raise ValueError(f"{value} is given twice; keep one of them")
+    return values
+
+
+Distinct = Annotated[list[Item], Field(min_length=1), AfterValidator(_distinct)]
 
 
 class Section(BaseModel):
@@ -180,7 +194,7 @@ class Hybrid(Section):
     optimizer: Literal["gauss_newton", "adam"] = "gauss_newton"
     rate: Positive = 0.01
     clip: Positive = 1.0
-    validation: list[str] | None = Field(default=None, min_length=1)
+    validation: Distinct[str] | None = None
 
     @field_validator("networks")
     @classmethod
@@ -189,13 +203,6 @@ class Hybrid(Section):
         if len(set(places)) < len(places):
             raise ValueError("a place takes one network, and two are given for the same; leave one out")
         return networks
-
-    @field_validator("validation")
-    @classmethod
-    def _once(cls, names: list[str] | None) -> list[str] | None:
-        if names is not None and len(set(names)) < len(names):
-            raise ValueError("a record stands here twice; name each one once")
-        return names
 
 
 class Gap(Section):
