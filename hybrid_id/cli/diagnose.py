@@ -87,7 +87,7 @@ def diagnose(
     )  # fmt: skip
     home = required(config.output.folder)
     with kept_fits(home, "diagnosis", force=force, resume=resume, reads=config.reads) as kept:
-        remark_idle(config.identification, "diagnose")
+        remark_idle(config.identification, "diagnose fits least squares in its own way")
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)

@@ -28,7 +28,7 @@ from hybrid_id.cli.inputs import (
     remark_idle,
 )
 from hybrid_id.cli.results import Results, show_study, write_last, write_study
-from hybrid_id.config import Hybrid, Identification, StudyConfig
+from hybrid_id.config import Hybrid, StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,13 +111,11 @@ def train(
             check_windows(config, "hybrid.windows", trained)
         else:
             check_windows(config, "training.windows", dataset.train)
-            said, plain = config.identification, Identification()
-            idle = [k for k in ("starts", "friction", "substeps") if getattr(said, k) != getattr(plain, k)]
-            if idle:
-                remark(
-                    "'train' has one start and a smooth friction of its own ('training.width', 'training.fine'), so "
-                    f"that {', '.join(idle)} of 'identification' {'is' if len(idle) == 1 else 'are'} not used"
-                )
+            remark_idle(
+                config.identification,
+                "'train' has one start and a smooth friction of its own ('training.width', 'training.fine')",
+                ("starts", "friction", "substeps"),
+            )
         run = _hybrid if config.hybrid is not None else _physics
         if run(dataset, system, config, home, resume=resume, as_json=as_json):
             remark(f"stopped; {go_on(home)} from here")  # what this one replaces is kept
@@ -143,7 +141,7 @@ def by_joint(
         raise InputError("--joint all takes every joint; leave the others out")
     if resume:
         raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
-    remark_idle(config.identification, "train --joint")
+    remark_idle(config.identification, "train --joint fits least squares in its own way")
     dataset = checked_records(config)
     with config.at("identification.window"):
         check_window(config.identification.window, dataset.records)
