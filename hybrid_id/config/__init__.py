@@ -16,8 +16,8 @@ from typing import Any
 
 from pydantic import ConfigDict, PrivateAttr, model_validator
 
-from hybrid_id.config.ablation import Ablation
 from hybrid_id.config.sections import (
+    Ablation,
     Gap,
     Hybrid,
     Identification,
