@@ -114,15 +114,12 @@ def diagnose(
                 shown = diagnosis_table(found, config.gap.max_effects)
                 further = [NEXT] if (folder / NEXT).exists() else []
                 undrawn = "" if whole else UNDRAWN
-            count = kept.count if undrawn or found.interrupted else 0
-            if count:
-                keep_after(home, folder)
+            more = keep_after(home, folder, kept) if undrawn or found.interrupted else ""
     results.show(text, shown, DIAGNOSIS, "model.yaml", "refit.yaml", *further, as_json=as_json)
     lacks = ["the results are those of the steps that were complete"] if found.interrupted else []
     lacks += [undrawn] if undrawn else []
     if lacks:
         there = "" if found.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
-        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {there}{', '.join(lacks)}{more}")
         raise typer.Exit(130)
 

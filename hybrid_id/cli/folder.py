@@ -353,9 +353,13 @@ def kept_fits(
                 remove_empty(made)
 
 
-def keep_after(home: Path, folder: Path) -> None:
-    """Move the fits to results that are not complete, so that --resume goes on with them."""
+def keep_after(home: Path, folder: Path, kept: "Kept") -> str:
+    """Move the fits to results that are not complete, so that --resume goes on with them; returns words that say so."""
+    count = kept.count
+    if not count:
+        return ""
     (home / FITS).rename(folder / FITS)
+    return f"; {count} fits are kept, and the same command with --resume goes on"
 
 
 @contextmanager

@@ -94,12 +94,9 @@ def identify(
             results = Results(folder, home, config, "identify")
             text, whole = write_study(results, dataset, study, draw=draw)
             words = left_out(config, progress, whole=whole)
-            count = kept.count if words else 0
-            if count:
-                keep_after(home, folder)
+            more = keep_after(home, folder, kept) if words else ""
     show_study(results, study, text, as_json=as_json)
     if words:
-        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {words}{more}")
         raise typer.Exit(130)
 
