@@ -228,9 +228,7 @@ def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") ->
         key: of the windows: `training.windows`, `hybrid.windows`, or `ablation.horizon`.
         records: out of which they are cut.
     """
-    import numpy as np
-
-    from hybrid_id.identification.horizons import window_samples
+    from hybrid_id.study.training import too_long
 
     if not records:
         return
@@ -241,13 +239,8 @@ def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") ->
     }
     windows, default = wish[key]
     remark_uneven(records)
-    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
-    samples = max(record.n_samples for record in records)
-    why = (
-        f"the longest record has {samples * step:.3g} s ({samples} samples); four windows must fit, of 25 samples or "
-        "more"
-    )
-    long = [f"{seconds:g} s" for seconds, _ in windows if window_samples(samples, step, seconds) is None]
+    lengths, why = too_long(records, [seconds for seconds, _ in windows])
+    long = [f"{seconds:g} s" for seconds in lengths]
     if not long:
         return
     if len(long) == len(windows) and windows != default:

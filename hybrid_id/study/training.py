@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +13,16 @@ import torch
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.adjoint import train as train_batch
+from hybrid_id.identification.horizons import window_samples
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.fit import fit_percent
 from hybrid_id.study.replay import batch_of
 from hybrid_id.systems.chain import System
 
-__all__ = ["Overlay", "Snapshot", "overlays", "scalars", "train"]
+__all__ = ["Overlay", "Snapshot", "overlays", "scalars", "too_long", "train"]
 
 
 def train(
@@ -51,6 +53,15 @@ def train(
     )
     assert batch is not None
     return train_batch(copy.deepcopy(system).to(device), batch, validation=held, **settings)
+
+
+def too_long(records: Sequence[Record], windows: Sequence[float]) -> tuple[list[float], str]:
+    """Windows [s] of which not four fit into the longest record, and why, in words."""
+    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    samples = max(record.n_samples for record in records)
+    size = f"{samples * step:.3g} s ({samples} samples)"
+    why = f"the longest record has {size}; four windows must fit, of 25 samples or more"
+    return [s for s in windows if window_samples(samples, step, s) is None], why
 
 
 @dataclass(frozen=True, eq=False)
