@@ -14,7 +14,8 @@ def main() -> NoReturn:
     From the first import to the last line, Ctrl-C ends it with one sentence or not at all.
     """
     # the matrices are small: a second thread costs time, and rounds them otherwise than a process of --jobs does
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for library in ("OMP", "MKL", "OPENBLAS"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # a worker that has grown is replaced by a fresh one: nothing is lost, and nothing to be done about it
     warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
     for stream in (sys.stdout, sys.stderr):  # a terminal in ASCII has no ±

@@ -5,23 +5,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from hybrid_id.cli.console import remark, show
+from hybrid_id.cli import options
+from hybrid_id.cli.console import kept_pieces, remark
 from hybrid_id.cli.folder import EVENTS, added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
-from hybrid_id.cli.options import (
-    Backend,
-    BackendOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    ProcessesOption,
-    SchedulerOption,
-    SourceArgument,
-    check_backend,
-    config_of,
-    use_threads,
-)
-from hybrid_id.cli.results import files_in, write_last, write_report
+from hybrid_id.cli.results import Results, write_last
 from hybrid_id.cli.train import check_network, say_how_long
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
 from hybrid_id.errors import InputError, listed
@@ -39,13 +27,13 @@ CELLS, CELL, RESULT = "cells", "cell.json", "ablation.json"
 
 
 def ablate(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
-    jobs: ProcessesOption = 1,
-    backend: BackendOption = Backend.joblib,
-    scheduler: SchedulerOption = None,
-    as_json: JsonOption = False,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
+    jobs: options.ProcessesOption = 1,
+    backend: options.BackendOption = options.Backend.joblib,
+    scheduler: options.SchedulerOption = None,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Physics only or hybrid? Arms on the same records and seeds, paired differences, and the answer in words.
 
@@ -53,8 +41,8 @@ def ablate(
     one repeat, is kept as soon as it is done: after Ctrl-C the same command goes on. `tensorboard --logdir DIR` shows
     the cells that are done, with their settings.
     """
-    check_backend(backend, scheduler)
-    config = config_of(source, model, out)
+    options.check_backend(backend, scheduler)
+    config = options.config_of(source, model, out)
     if config.identification.device != "cpu":
         raise InputError(
             f"key 'identification.device' is '{config.identification.device}', but cells are computed on the cpu; "
@@ -67,7 +55,6 @@ def ablate(
         other := read_object(home / RESULT, "ablation").get("dataset")
     ) != dataset.name:
         raise InputError(f"{home} holds the ablation of another dataset, '{other}'; give another folder")
-    use_threads(1)
     system = load_system(config, dataset)
     say_how_long(system)
     task, cells = planned(config, dataset, system)
@@ -75,7 +62,6 @@ def ablate(
         remark(
             f"the study file has no section 'ablation': the {len(cells)} cells of the default plan are computed"
         )
-    from hybrid_id.cli.pieces import kept_pieces
     from hybrid_id.records.yaml_file import write_yaml
     from hybrid_id.reporting.ablation import (
         PICTURES,
@@ -110,26 +96,24 @@ def ablate(
                         write_yaml(make_folder(kept / name) / "model.yaml", result.model)
                 say(name, result, before)
 
-            results, failed = run_cells(
+            done_cells, failed = run_cells(
                 task, cells, lambda name: kept / name / CELL, jobs=jobs, scheduler=scheduler, program=program(),
                 done=done,
             )  # fmt: skip
         worth = (config.hybrid or Hybrid()).worth
-        outcome = gather(results, failed, level=config.statistics.level, worth=worth)
+        outcome = gather(done_cells, failed, level=config.statistics.level, worth=worth)
         text = to_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
         with added_results(home, RESULT, [*(f"{name}.png" for name in PICTURES), "report.html"]) as folder:
-            whole = write_report(
-                folder, home, config, "ablate", figures=lambda: ablation_pictures(outcome),
-                page=lambda pictures: ablation_page(dataset, outcome, pictures),
-            )  # fmt: skip
+            results = Results(folder, home, config, "ablate")
+            whole = results.report(
+                lambda: ablation_pictures(outcome),
+                lambda pictures: ablation_page(dataset, outcome, pictures),
+            )
             if not whole:
                 raise KeyboardInterrupt  # the cells are kept
             write_last(folder / RESULT, text)
-    if as_json:
-        show(text)
-    else:
-        show(ablation_page(dataset, outcome, {}).screen())
-        show(files_in(home, config, RESULT, CELLS, *([EVENTS] if config.output.tensorboard else [])))
+    names = [RESULT, CELLS, *([EVENTS] if config.output.tensorboard else [])]
+    results.show(text, ablation_page(dataset, outcome, {}).screen(), *names, as_json=as_json)
     if failed:
         raise typer.Exit(1)
 

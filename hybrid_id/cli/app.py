@@ -1,12 +1,10 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
-import ast
 import errno
 import itertools
 import re
 import sys
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -29,7 +27,7 @@ COMMANDS = {
     "reproduce": "reproduce", "demo": "demo", "components": "lists", "effects": "lists", "schema": "schema",
     "doctor": "doctor", "blind": "blind",
 }  # fmt: skip
-"""Module of each command, which is imported when its command is run: the list of all imports none."""
+"""Module of each command, which is imported when its command is asked for."""
 LONGEST_WORD = 400
 """Characters of one word of a message; paths are shorter."""
 THEIRS = {
@@ -40,51 +38,23 @@ THEIRS = {
 """Wordings of the library that reads command lines, and how this program says the same."""
 
 
-class Listed(TyperCommand):
-    """A command whose module has not been imported."""
-
-
-def first_sentence(command: str) -> str:
-    """What a command says first in its own help, read from its module without importing it."""
-    tree = ast.parse(Path(__file__).with_name(f"{COMMANDS[command]}.py").read_text(encoding="utf-8"))
-    functions = (part for part in tree.body if isinstance(part, ast.FunctionDef))
-    words = next(ast.get_docstring(f) for f in functions if f.name in (command, f"_{command}")) or ""
-    return " ".join(words.partition("\n\n")[0].split())
-
-
 class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
 
-    listing = False
-    """Whether only names and first sentences are asked for."""
-
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands.update({name: Listed(name) for name in COMMANDS})
+        self.commands.update({name: TyperCommand(name) for name in COMMANDS})  # until they are asked for
 
     def get_command(self, ctx: typer.Context | None, cmd_name: str) -> Any:  # type: ignore[override]
-        """The command of a name, None without one; in the list of all it knows its first sentence alone."""
-        found = self.commands.get(cmd_name)
-        if self.listing or not isinstance(found, Listed):
-            return found
-        work = getattr(import_module(f"hybrid_id.cli.{COMMANDS[cmd_name]}"), cmd_name)
-        if not isinstance(work, typer.Typer):
-            single, work = work, typer.Typer(add_completion=False, rich_markup_mode="rich")
-            work.command(cmd_name)(single)
-        self.commands[cmd_name] = typer.main.get_command(work)
-        self.commands[cmd_name].name = cmd_name
-        return self.commands[cmd_name]
-
-    def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
-        """Write the list of all commands."""
-        self.listing = True
-        for name, command in self.commands.items():
-            if isinstance(command, Listed):
-                command.help = first_sentence(name)
-        try:
-            super().format_help(ctx, formatter)  # type: ignore[arg-type]
-        finally:
-            self.listing = False
+        """The command of a name, imported now; None without one."""
+        if cmd_name in COMMANDS and getattr(self.commands[cmd_name], "callback", None) is None:
+            work = getattr(import_module(f"hybrid_id.cli.{COMMANDS[cmd_name]}"), cmd_name)
+            if not isinstance(work, typer.Typer):
+                single, work = work, typer.Typer(add_completion=False, rich_markup_mode="rich")
+                work.command(cmd_name)(single)
+            self.commands[cmd_name] = typer.main.get_command(work)
+            self.commands[cmd_name].name = cmd_name
+        return self.commands.get(cmd_name)
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
         """The command that a line names, and what is left of the line; options that count once may stand once."""

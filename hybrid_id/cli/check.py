@@ -5,16 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import doing, show, show_json
 from hybrid_id.cli.inputs import load_records, read_model, refuse_errors
-from hybrid_id.cli.options import (
-    DatasetArgument,
-    JointOption,
-    JsonOption,
-    ModelOption,
-    ThreadsOption,
-    use_threads,
-)
 from hybrid_id.config import beside
 from hybrid_id.errors import InputError
 
@@ -24,12 +17,11 @@ if TYPE_CHECKING:
 
 
 def check(
-    dataset: DatasetArgument,
-    model: ModelOption = None,
-    joint: JointOption = None,
+    dataset: options.DatasetArgument,
+    model: options.ModelOption = None,
+    joint: options.JointOption = None,
     full: Annotated[bool, typer.Option("--full", help="Show remarks of severity info too.")] = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Check records: quality, sampling, excitation, and with a model which of its parameters they identify.
 
@@ -58,7 +50,6 @@ def check(
             show(f"({more}, for information only: --full shows {them})")
     found = None
     if path is not None and not any(finding.severity == "error" for finding in findings):
-        use_threads(threads)
         from hybrid_id.study import check_model
 
         system = system or read_model(path)

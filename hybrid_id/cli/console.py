@@ -80,11 +80,71 @@ def counting(noun: str) -> Progress:
 
 
 @contextmanager
-def doing() -> Iterator[Callable[[str], None]]:
-    """Bar over what has no number of steps; yields what says in words which step runs."""
-    with bar(TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn()) as shown:
-        task = shown.add_task("", total=None)
-        yield lambda words: shown.update(task, description=words)
+def doing(prefix: str = "") -> Iterator[Callable[..., None]]:
+    """Bar over stages, and once it is known how long one takes that takes long, a sentence that says so.
+
+    Yields:
+        What is called with the stage in words, and where it has steps, with how many are done and of how many at most.
+    """
+    stage, since = "", 0.0
+    with bar(
+        TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
+    ) as progress:
+        task = progress.add_task("", total=None)
+
+        def say(now: str, done: int = 0, total: int = 0) -> None:
+            nonlocal stage, since
+            if now != stage:
+                stage, since = now, time.monotonic()
+                progress.reset(task)
+            left = (time.monotonic() - since) / max(done - 1, 1) * (total - done)
+            if done == TIMED + 1 and left > LONG:
+                progress.console.print(
+                    f"{stage}: the fit takes {rough_time(left)} at most, a guess by its first {TIMED} steps",
+                    style="dim", markup=False, soft_wrap=True,
+                )  # fmt: skip
+            words = prefix + stage + (f", {done} of at most {total}" if total > 1 else "")
+            progress.update(task, description=words, completed=done, total=total if total > 1 else None)
+
+        yield say
+
+
+@contextmanager
+def kept_pieces(noun: str, total: int, folder: Path) -> Iterator[Callable[..., None]]:
+    """Show which pieces are done, and say after Ctrl-C how many are kept.
+
+    Args:
+        noun: what the pieces are.
+        total: how many there are.
+        folder: that keeps them.
+
+    Yields:
+        What is called with name and result of each piece, a :class:`hybrid_id.study.many.Failure` where it broke, and
+        whether it is one of an earlier run.
+    """
+    from hybrid_id.study.many import Failure
+
+    names: dict[bool, list[str]] = {True: [], False: []}
+    try:
+        with counting(noun) as bar:
+            task = bar.add_task(noun, total=total)
+
+            def done(name: str, result: Any, earlier: bool) -> None:
+                broke = isinstance(result, Failure)
+                names[broke].append(name)
+                count = len(names[True]) + len(names[False])
+                bar.update(task, completed=count)
+                words = result.message if broke else f"{result.seconds:.1f} s"
+                line = f"{count} of {total}: {name}, {'kept from before' if earlier else words}"
+                bar.console.print(line, markup=False, soft_wrap=True, style="dim")
+
+            yield done
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {len(names[False])} of {total} {noun} are kept in {folder}, and the same command goes on"
+        ) from None
+    if names[True]:
+        remark(f"{len(names[True])} of {total} {noun} broke; the same command tries them again")
 
 
 @contextmanager

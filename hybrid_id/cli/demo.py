@@ -1,5 +1,6 @@
 """`demo`: the main job on records whose truth is known."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,7 +9,7 @@ import typer
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
-from hybrid_id.cli.options import ABOVE, ForceOption, JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import ABOVE, ForceOption, JsonOption
 from hybrid_id.config import study_config
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
@@ -24,13 +25,11 @@ def demo(
         bool, typer.Option("--robot", help="An arm of six servos, from its MJCF, in place of one drive.")
     ] = False,
     settings: Annotated[
-        Path | None,
-        typer.Option(help="Settings of another drive, configs/twin_link1.yaml say.", show_default=False),
+        Path | None, typer.Option(help="Settings of another drive, configs/twin_link1.yaml say.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0, max=MOST_SEED)] = 0,
     force: ForceOption = False,
     as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
 ) -> None:
     """Identify a drive, or an arm, from simulated records whose truth is known, and show estimates beside the truth.
 
@@ -41,9 +40,8 @@ def demo(
     if robot and settings is not None:
         raise InputError("--settings belongs to the drive; leave out --robot or --settings")
     refuse_taken(out, force=force, reads=[] if settings is None else [settings])
-    use_threads(threads)
     from hybrid_id.cli.identify import leave_earlier, left_out, run
-    from hybrid_id.cli.results import show_study, write_study
+    from hybrid_id.cli.results import Results, show_study, write_study
     from hybrid_id.machines.desk_arm import write_arm
     from hybrid_id.paper.demo import DEMO
     from hybrid_id.paper.twin import write_campaign
@@ -92,9 +90,10 @@ def demo(
         home = out.absolute()
         placed = config.model_copy(update={"dataset": home / DATA, "model": home / DATA / config.model.name})
         draw = progress.cut or not progress.stopped
-        text, whole = write_study(folder, home, "demo", placed, dataset, study, draw=draw)
+        results = Results(folder, home, placed, "demo")
+        text, whole = write_study(results, dataset, study, draw=draw)
         truth = truths[study.selected.records[0]]
-    show_study(study, config, out, text, as_json=as_json)
+    show_study(replace(results, home=out), study, text, as_json=as_json)
     claims = [recovery.inside for recovery in against_truth(study, truth) if recovery.inside is not None]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
     held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hybrid_id.cli.console import SearchProgress, remark, show
+from hybrid_id.cli import options
+from hybrid_id.cli.console import SearchProgress, remark
 from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, FITS, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
     MOST_JOINTS,
@@ -18,19 +19,7 @@ from hybrid_id.cli.inputs import (
     remark_start_values,
     remark_uneven,
 )
-from hybrid_id.cli.options import (
-    ForceOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    ResumeOption,
-    SeedOption,
-    SourceArgument,
-    WindowOption,
-    config_of,
-    use_threads,
-)
-from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
+from hybrid_id.cli.results import UNDRAWN, Results, write_last
 from hybrid_id.config import StudyConfig, sections
 from hybrid_id.errors import InputError, listed
 
@@ -55,9 +44,9 @@ LONG, MOST_JOBS = 200_000, 4
 
 
 def diagnose(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
     max_effects: Annotated[
         int | None, typer.Option(help="Effects at most.", min=1, max=sections.MOST_EFFECTS, show_default="3")
     ] = None,
@@ -66,10 +55,10 @@ def diagnose(
         typer.Option(
             help="Joint of a robot to diagnose by itself, the others moving as they were measured; may be given "
             "several times, and brings the others of its coupled gear. Of a robot of more than two joints all that "
-            "move are.",
+            "move are."
         ),
     ] = None,
-    window: WindowOption = None,
+    window: options.WindowOption = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -79,10 +68,10 @@ def diagnose(
             show_default="one on each core, four at most; one for long records",
         ),
     ] = None,
-    seed: SeedOption = None,
-    resume: ResumeOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    seed: options.SeedOption = None,
+    resume: options.ResumeOption = False,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Find out why records and the nominal model disagree: which effects explain how much of the gap, and what remains.
 
@@ -93,17 +82,16 @@ def diagnose(
     the whole robot above.
     Ctrl-C ends the search with what it has found, --resume goes on.
     """
-    config = config_of(
+    config = options.config_of(
         source, model, out, window, gap__max_effects=max_effects, gap__jobs=jobs, identification__seed=seed,
     )  # fmt: skip
     home = required(config.output.folder)
     with kept_fits(home, "diagnosis", force=force, resume=resume, reads=config.reads) as kept:
-        remark_idle(config.identification, "diagnose")
+        remark_idle(config.identification, "diagnose fits least squares in its own way")
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
         remark_uneven(dataset)
-        use_threads(1)
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
         from hybrid_id.diagnosis.arm import ArmDiagnosis
@@ -116,31 +104,22 @@ def diagnose(
         asked = {"by_joint": True, "joints": joint} if by_joint else {}
         found = run(dataset, system, config, kept, **asked)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
+            results = Results(folder, home, config, "diagnose")
             if isinstance(found, ArmDiagnosis):
-                (text, drawn), shown = (
-                    write_arm(folder, home, config, found),
-                    arm_page(found, {}, {}).screen(),
-                )
+                (text, drawn), shown = write_arm(results, found), arm_page(found, {}, {}).screen()
                 further = [f"{name}/" for name in joint_folders(found.joints).values()]
                 undrawn = undrawn_words(drawn)
             else:
-                text, whole = write_diagnosis(folder, home, config, found)
+                text, whole = write_diagnosis(results, found)
                 shown = diagnosis_table(found, config.gap.max_effects)
                 further = [NEXT] if (folder / NEXT).exists() else []
                 undrawn = "" if whole else UNDRAWN
-            count = kept.count if undrawn or found.interrupted else 0
-            if count:
-                keep_after(home, folder)
-    if as_json:
-        show(text)
-    else:
-        show(shown)
-        show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
+            more = keep_after(home, folder, kept) if undrawn or found.interrupted else ""
+    results.show(text, shown, DIAGNOSIS, "model.yaml", "refit.yaml", *further, as_json=as_json)
     lacks = ["the results are those of the steps that were complete"] if found.interrupted else []
     lacks += [undrawn] if undrawn else []
     if lacks:
         there = "" if found.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
-        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {there}{', '.join(lacks)}{more}")
         raise typer.Exit(130)
 
@@ -220,130 +199,94 @@ def undrawn_words(drawn: Mapping[str, bool]) -> str:
     return f"{words} (those of {listed(there)} are)" if there else words
 
 
-def write_arm(
-    folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis"
-) -> tuple[str, dict[str, bool]]:
+def write_arm(results: Results, found: "ArmDiagnosis") -> tuple[str, dict[str, bool]]:
     """Write all files of a robot's diagnosis, those of each joint in a folder of its own.
 
-    Args:
-        folder: where to write.
-        home: where the folder will be at last.
-        config: what was asked for.
-        found: the result.
-
     Returns:
-        The result as JSON, and of the robot and of each joint whether all files are written: see `write_report`.
+        The result as JSON, and of the robot and of each joint whether all files are written: see `Results.report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page, part_words
     from hybrid_id.reporting.results import as_json
-    from hybrid_id.systems.model_file import save_model
 
+    config = results.config
     seed, folders = {"seed": config.identification.seed}, joint_folders(found.joints)
-    save_model(found.model, folder / "model.yaml", home)
-    save_model(found.refit, folder / "refit.yaml", home)
+    results.model(found.model)
+    results.model(found.refit, "refit.yaml")
     pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
     drawn = {}
-    drawn["the robot"] = write_report(
-        folder,
-        home,
-        config,
-        "diagnose",
-        figures=lambda: arm_figures(found),
-        page=lambda figures: arm_page(found, figures, pages, findings=remarks(found.dataset)),
+    drawn["the robot"] = results.report(
+        lambda: arm_figures(found),
+        lambda figures: arm_page(found, figures, pages, findings=remarks(found.dataset)),
         settings=seed,
     )
     for joint, name in folders.items():
-        (folder / name).mkdir()
-        draw = all(drawn.values())
         drawn[joint] = write_parts(
-            folder / name, home / name, config, found.joints[joint], draw=draw, robot=f"../{PAGE}",
+            results.below(name), found.joints[joint], draw=all(drawn.values()), robot=f"../{PAGE}",
             beside=part_words(found, joint),
         )  # fmt: skip
     text = as_json("diagnose", seed | found.as_dict())
-    write_last(folder / DIAGNOSIS, text)
+    write_last(results.folder / DIAGNOSIS, text)
     return text, drawn
 
 
-def write_diagnosis(
-    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis"
-) -> tuple[str, bool]:
+def write_diagnosis(results: Results, diagnosis: "Diagnosis") -> tuple[str, bool]:
     """Write all files of a diagnosis.
 
-    Args:
-        folder: where to write.
-        home: where the folder will be at last.
-        config: what was asked for.
-        diagnosis: the result.
-
     Returns:
-        The result as JSON, and whether all files are written: see `write_report`.
+        The result as JSON, and whether all files are written: see `Results.report`.
     """
     from hybrid_id.reporting.residuals import residual_result
     from hybrid_id.reporting.results import as_json
 
     residuals = {"residual_tests": residual_result(diagnosis.details.residual_tests)}
-    text = as_json("diagnose", {"seed": config.identification.seed} | diagnosis.as_dict() | residuals)
-    whole = write_parts(folder, home, config, diagnosis)
-    write_last(folder / DIAGNOSIS, text)
+    text = as_json("diagnose", {"seed": results.config.identification.seed} | diagnosis.as_dict() | residuals)
+    whole = write_parts(results, diagnosis)
+    write_last(results.folder / DIAGNOSIS, text)
     return text, whole
 
 
 def write_parts(
-    folder: Path,
-    home: Path,
-    config: StudyConfig,
-    diagnosis: "Diagnosis",
-    *,
-    draw: bool = True,
-    robot: str = "",
-    beside: str = "",
+    results: Results, diagnosis: "Diagnosis", *, draw: bool = True, robot: str = "", beside: str = ""
 ) -> bool:
     """Write all files of a diagnosis but the result itself, which of a robot's joint stands in the robot's.
 
     Args:
-        folder: where to write.
-        home: where the folder will be at last.
-        config: what was asked for.
+        results: where to write.
         diagnosis: the result.
         draw: whether to draw its pictures and page.
         robot: where the page of the whole robot is, as seen from its own; empty without.
         beside: what else the robot's diagnosis has found there, in sentences.
 
     Returns:
-        Whether all files are written: see `write_report`.
+        Whether all files are written: see `Results.report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.diagnosis import diagnosis_page
     from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
     from hybrid_id.reporting.tensorboard import write_diagnosis_events
-    from hybrid_id.systems.model_file import save_model
 
-    save_model(diagnosis.model, folder / "model.yaml", home)
-    save_model(diagnosis.search.base.system, folder / "refit.yaml", home)
+    results.model(diagnosis.model)
+    results.model(diagnosis.search.base.system, "refit.yaml")
     if diagnosis.proposed:
         from pandas import DataFrame, concat
 
         from hybrid_id.systems.by_joint import as_in_robot
 
         tables = []
-        for k, one in enumerate(diagnosis.proposed, 1):
-            columns = as_in_robot(one.inputs, diagnosis.model)
-            begin = {f"start_{name}": angle for name, angle in one.start.items()}
-            tables.append(DataFrame({"t": one.time, "record": k, "name": one.name, **columns, **begin}))
-        concat(tables).to_csv(folder / NEXT, index=False, float_format="%.6g")
-    return write_report(
-        folder,
-        home,
-        config,
-        "diagnose",
-        figures=lambda: diagnosis_figures(diagnosis),
-        page=lambda figures: diagnosis_page(
-            diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
+        for k, record in enumerate(diagnosis.proposed, 1):
+            columns = as_in_robot(record.inputs, diagnosis.model)
+            begin = {f"start_{name}": angle for name, angle in record.start.items()}
+            tables.append(DataFrame({"t": record.time, "record": k, "name": record.name, **columns, **begin}))
+        concat(tables).to_csv(results.folder / NEXT, index=False, float_format="%.6g")
+    return results.report(
+        lambda: diagnosis_figures(diagnosis),
+        lambda figures: diagnosis_page(
+            diagnosis, figures, max_effects=results.config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
             robot=robot, beside=beside,
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
         compute=diagnosis.details.compute,
-        settings={"seed": config.identification.seed},
+        settings={"seed": results.config.identification.seed},
         draw=draw,
     )  # fmt: skip

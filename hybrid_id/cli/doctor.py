@@ -9,7 +9,7 @@ import typer
 
 from hybrid_id import __version__
 from hybrid_id.cli.console import show, show_json
-from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import JsonOption
 from hybrid_id.errors import InputError
 
 NEEDED = (
@@ -32,18 +32,15 @@ def doctor(
     ahead: Annotated[
         bool,
         typer.Option(
-            "--ahead",
-            help="First compile the code of the shipped systems for all who use this environment.",
+            "--ahead", help="First compile the code of the shipped systems for all who use this environment."
         ),
     ] = False,
     as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
 ) -> None:
     """Show versions, device, threads and compiler, and identify a small drive whose truth is known.
 
     Ends with exit code 1 when the self-test misses that truth. Its records are the same on every machine.
     """
-    use_threads(threads)
     if ahead:
         from hybrid_id.cli.console import remark
         from hybrid_id.reporting.tables import count

@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
 from hybrid_id.cli.console import show
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.folder import files_to_write, write_files
 from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError, close_match
@@ -23,12 +21,6 @@ if TYPE_CHECKING:
 MAX_SAMPLES = 1_000_000
 
 
-class Act(StrEnum):
-    """How much play and flexibility of the gear are to act."""
-
-    MOST, LEAST = "most", "least"
-
-
 def excite(
     file: Annotated[
         Path,
@@ -36,7 +28,6 @@ def excite(
             "--out",
             "-o",
             help=f"CSV file to write: columns t (s) and u1, of a robot goal1, goal2 ... {ABOVE}",
-            show_default=False,
         ),
     ],
     band: Annotated[
@@ -58,25 +49,22 @@ def excite(
         ),
     ] = None,
     gear: Annotated[
-        Act | None,
+        Literal["most", "least"] | None,
         typer.Option(
-            help="With --model: the part of the band in which play and flexibility of its gear act most, or least.",
-            show_default=False,
+            help="With --model: the part of the band in which play and flexibility of its gear act most, or least."
         ),
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option("--model", "-m", help="Model whose gear has them, or a robot's.", show_default=False),
+        typer.Option("--model", "-m", help="Model whose gear has them, or a robot's."),
     ] = None,
     speed: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Largest speed of a robot's joint: NAME=VALUE, or VALUE for all.", show_default=False
-        ),
+        typer.Option(help="Largest speed of a robot's joint: NAME=VALUE, or VALUE for all."),
     ] = None,
     torque: Annotated[
         list[str] | None,
-        typer.Option(help="Largest torque of a joint's motor, at the joint; as --speed.", show_default=False),
+        typer.Option(help="Largest torque of a joint's motor, at the joint; as --speed."),
     ] = None,
     share: Annotated[
         float | None, typer.Option(help="Share of a robot's limits that is used.", show_default="0.9")
@@ -94,7 +82,7 @@ def excite(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0, max=MOST_SEED)] = 0,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.")] = None,
     force: ForceFilesOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -134,8 +122,11 @@ def excite(
         raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
     if file.is_dir():
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
-    if file.with_suffix(".json") == file:
-        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
+    files = files_to_write(file, ".json", force=force)
+    if plot is not None:
+        files_to_write(plot, force=force)
+        if plot.suffix.lower() != ".png" or plot.resolve() == file.resolve():
+            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
     from hybrid_id.records.excitation import STARTS, usual_tones
     from hybrid_id.reporting.results import as_json as as_json_text
     from hybrid_id.study.excitation import STARTS_A_JOINT
@@ -145,30 +136,24 @@ def excite(
     asked = {
         "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
     }  # fmt: skip
-    with ExitStack() as files:
-        table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(file.with_suffix(".json"), force=force, beside=file))
-        picture = files.enter_context(result_file(plot, force=force)) if plot else None
-        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
-            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
-        if system is not None and robot:
-            limits = (speed or [], torque or [], 0.9 if share is None else share)
-            found = _of_robot(system, band, *limits, rest=rest, **asked)
-        else:
-            found = _of_drive(system, band, amplitude=amplitude, gear=gear, rest=rest, **asked)
-        columns, rows = found.table
-        lines = (",".join(f"{value:.9g}" for value in row) for row in rows)
-        table.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
-        if picture:
-            from hybrid_id.reporting.style import save
+    if system is not None and robot:
+        limits = (speed or [], torque or [], 0.9 if share is None else share)
+        design = _of_robot(system, band, *limits, rest=rest, **asked)
+    else:
+        design = _of_drive(system, band, amplitude=amplitude, gear=gear, rest=rest, **asked)
+    columns, rows = design.table
+    lines = (",".join(f"{value:.9g}" for value in row) for row in rows)
+    contents: dict[Path, str | bytes] = {file: "\n".join([",".join(columns), *lines]) + "\n"}
+    if plot is not None:
+        from hybrid_id.reporting.style import pixels, png
 
-            save(found.figure(), picture)
-        named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
-        text = as_json_text("excite", found.described | asked | named)
-        words.write_text(text + "\n", encoding="utf-8")
+        contents[plot] = png(pixels(design.figure()))
+    named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
+    text = as_json_text("excite", design.described | asked | named)
+    write_files(contents | {files[1]: f"{text}\n"})
     if as_json:
         return show(text)
-    *lines, size = found.lines
+    *lines, size = design.lines
     show(*lines, f"{size}, in {file}" + (f"; picture in {plot}" if plot else ""))
 
 
@@ -193,7 +178,7 @@ def _of_drive(
     band: tuple[float, float],
     *,
     amplitude: float,
-    gear: Act | None,
+    gear: Literal["most", "least"] | None,
     rest: float,
     **asked: Any,
 ) -> Designed:
@@ -208,12 +193,12 @@ def _of_drive(
         from hybrid_id.study.excitation import bands_by_gear
 
         motion = {key: asked[key] for key in ("sample_time", "duration", "tones")}
-        parts = bands_by_gear(system, band, gear.value, amplitude=amplitude, **motion)
+        parts = bands_by_gear(system, band, gear, amplitude=amplitude, **motion)
         band = parts[0].band
         (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
         lines = [
             f"Between {low:.3g} and {high:.3g} Hz the gear's deflection is {100 * parts[0].share:.2g} % of the motor's "
-            f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
+            f"motion, the {'largest' if gear == 'most' else 'smallest'} of {len(parts)} parts of the band "
             f"({100 * least:.2g} to {100 * most:.2g} %)."
         ]
     design = design_multisine(band, amplitude_limits=amplitude, **asked)

@@ -1,30 +1,17 @@
 """`export`: what was found, in the formats of others."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hybrid_id.cli.console import LONG, TIMED, bar, remark, rough_time, show
-from hybrid_id.cli.folder import (
-    DIAGNOSIS,
-    RESULT,
-    kind_of,
-    make_parents,
-    refuse_file,
-    remove_empty,
-    result_file,
-)
+from hybrid_id.cli.console import doing, remark, show
+from hybrid_id.cli.folder import DIAGNOSIS, RESULT, files_to_write, write_files
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
-from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption, use_threads
-from hybrid_id.cli.results import write_last
+from hybrid_id.cli.options import ABOVE, ForceFilesOption, JsonOption
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 from hybrid_id.reading import as_written
@@ -42,14 +29,6 @@ REFIT, PHYSICS = "refit.yaml", "physics.yaml"
 AGAIN = "bring the folder of results again, as it was written"
 SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
-
-
-class Format(StrEnum):
-    """What to write."""
-
-    mjcf = "mjcf"
-    ranges = "ranges"
-    torch = "torch"
 
 
 @dataclass(frozen=True)
@@ -72,23 +51,18 @@ class Made:
 def export(
     model: Annotated[
         Path,
-        typer.Argument(
-            metavar="MODEL", help="Model file, or a folder of results with model.yaml.", show_default=False
-        ),
+        typer.Argument(metavar="MODEL", help="Model file, or a folder of results with model.yaml."),
     ],
     to: Annotated[
-        Format,
+        Literal["mjcf", "ranges", "torch"],
         typer.Option(
             help="mjcf: a MuJoCo model; ranges: for domain randomisation; torch: one step as a program."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help=f"File to write. {ABOVE}", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"File to write. {ABOVE}")],
     check: Annotated[
         Path | None,
-        typer.Option(
-            help="Dataset to replay in MuJoCo and here; by default the run's test records.",
-            show_default=False,
-        ),
+        typer.Option(help="Dataset to replay in MuJoCo and here; by default the run's test records."),
     ] = None,
     sample_time: Annotated[
         float | None,
@@ -120,45 +94,46 @@ def export(
     those of --check, beside the nominal and the re-fitted model; what it loses there is fitted anew in MuJoCo, and a
     corrected model that stays worse than the re-fitted one is refused.
     """
-    if check is not None and to is not Format.mjcf:
+    if check is not None and to != "mjcf":
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
-    if worse and to is not Format.mjcf:
+    if worse and to != "mjcf":
         raise InputError(
             "--worse writes a model that is worse in MuJoCo; leave it out, --force replaces files that exist"
         )
-    if to is not Format.torch and (sample_time, width) != (None, None):
+    if to != "torch" and (sample_time, width) != (None, None):
         raise InputError(
             "--sample-time and --width are of the torch program; leave them out, or take --to torch"
         )
-    refuse_file(out, force=force)
-    remove_empty(make_parents(out))  # a place that cannot be written is said before anything is fitted
-    if to is Format.mjcf and out.suffix.lower() == ".urdf":
+    if to == "mjcf" and out.suffix.lower() == ".urdf":
         raise InputError(
             f"{out}: MJCF is written, which no reader of URDF takes; give a file that ends in .xml"
         )
     # the file, then its description and its page; ranges are JSON themselves
-    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
-    files = [out, *(out.with_suffix(ending) for ending in endings)]
-    if out in files[1:]:
-        raise InputError(f"{out} would also be the name of the {kind_of(out)} beside it; take another ending")
-    for one in files[1:]:
-        refuse_file(one, force=force, beside=out)
-    use_threads(1)
+    endings = {"ranges": (), "mjcf": (".json", ".html"), "torch": (".json",)}[to]
+    files = files_to_write(out, *endings, force=force)
     from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model
     system = read_model(file)
-    if to is Format.ranges:
+    if to == "ranges":
         made = _ranges(system, file, out)
-    elif to is Format.mjcf:
+    elif to == "mjcf":
         made = _mjcf(system, file, check, out, worse=worse)
     else:
         made = _program(system, out, sample_time or SAMPLE_TIME, width or WIDTH)
-    about = {"model": str(model), "format": to.value}
+    about = {"model": str(model), "format": to}
     if made.content is not None:
         about |= {"model": str(file), "file": out.name}
     text = to_json("export", about | made.described)
-    _write(files, made, text, force=force)
+    if made.content is None:
+        write_files({out: f"{text}\n"})
+    else:
+        pages = {} if made.page is None else {files[2]: made.page.html()}
+        write_files({out: made.content} | pages | {files[1]: f"{text}\n"})  # the description comes in last
+        for stale in (
+            files[2:] if made.page is None else ()
+        ):  # that of an earlier model shows the errors of another one
+            stale.unlink(missing_ok=True)
     if as_json:
         return show(text)
     left_out = made.described.get("left_out", [])
@@ -169,22 +144,6 @@ def export(
         show(
             f"the model is in {out}, {f'what it leaves out in {files[1]}' if left_out else 'nothing is left out'}"
         )
-
-
-def _write(files: Sequence[Path], made: Made, text: str, *, force: bool) -> None:
-    """Write the model, its description and its page, all or none; the description comes in last."""
-    with ExitStack() as stack:
-        kept = files if made.page is not None else files[:2]
-        out, *beside = (stack.enter_context(result_file(one, force=force)) for one in kept)
-        if made.content is None:
-            return write_last(out, text)
-        out.write_bytes(made.content)
-        if made.page is not None:
-            made.page.write(beside[1])
-        write_last(beside[0], text)
-    if force and made.page is None:  # that of an earlier model shows the errors of another one
-        for stale in files[2:]:
-            stale.unlink(missing_ok=True)
 
 
 def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, worse: bool) -> Made:
@@ -258,36 +217,10 @@ def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetError
         models[REFITTED] = read_model(refit)
     remark("replaying in MuJoCo; what it cannot carry is fitted there to the train records")
     train = replace(own, records=own.train) if own is not None and own.train else None
-    with _replays() as progress:
+    with doing("MuJoCo: ") as progress:
         return target_errors(
             models | {label: system}, judges, train=train, horizon=horizon, progress=progress
         )
-
-
-@contextmanager
-def _replays() -> "Iterator[Callable[[str, int, int], None]]":
-    """Bar over the replays in MuJoCo; of a fit there that takes long, the time is said once it is known."""
-    stage, since = "", 0.0
-    with bar(
-        TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
-    ) as shown:
-        task = shown.add_task("replaying in MuJoCo", total=None)
-
-        def say(now: str, done: int, total: int) -> None:
-            nonlocal stage, since
-            if now != stage:
-                stage, since = now, monotonic()
-                shown.reset(task)
-            left = (monotonic() - since) / max(done - 1, 1) * (total - done)
-            if done == TIMED + 1 and left > LONG:
-                shown.console.print(
-                    f"{stage}: the fit takes {rough_time(left)} at most, a guess by its first {TIMED} replays",
-                    style="dim", markup=False, soft_wrap=True,
-                )  # fmt: skip
-            words = f"MuJoCo: {stage}" + (f", {done} of at most {total}" if total > 1 else "")
-            shown.update(task, description=words, completed=done, total=total if total > 1 else None)
-
-        yield say
 
 
 def _run_of(file: Path) -> "tuple[StudyConfig, Horizon] | None":

@@ -7,20 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import counting, remark, show
+from hybrid_id.cli import options
+from hybrid_id.cli.console import counting, kept_pieces, remark, show
 from hybrid_id.cli.folder import added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_window, load_records, read_model, refuse_errors, remark_validation
-from hybrid_id.cli.options import (
-    Backend,
-    BackendOption,
-    JsonOption,
-    OutOption,
-    ProcessesOption,
-    SchedulerOption,
-    WindowOption,
-    check_backend,
-    use_threads,
-)
 from hybrid_id.cli.results import write_last
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
 from hybrid_id.reading import LONGEST_NAME, read_object, refuse_outside
@@ -38,20 +28,18 @@ MOST = 10_000
 def fleet(
     robots: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="Folder with one dataset folder a robot.", show_default=False),
+        typer.Argument(metavar="FOLDER", help="Folder with one dataset folder a robot."),
     ],
     model: Annotated[
         Path | None,
-        typer.Option(
-            "--model", "-m", help="Model file of all; FOLDER/model.yaml by default.", show_default=False
-        ),
+        typer.Option("--model", "-m", help="Model file of all; FOLDER/model.yaml by default."),
     ] = None,
-    out: OutOption = None,
-    window: WindowOption = None,
-    jobs: ProcessesOption = 1,
-    backend: BackendOption = Backend.joblib,
-    scheduler: SchedulerOption = None,
-    as_json: JsonOption = False,
+    out: options.OutOption = None,
+    window: options.WindowOption = None,
+    jobs: options.ProcessesOption = 1,
+    backend: options.BackendOption = options.Backend.joblib,
+    scheduler: options.SchedulerOption = None,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Identify many robots of one kind: the fleet's mean and spread, and which robot stands out and why.
 
@@ -59,7 +47,7 @@ def fleet(
     picture, and model.yaml: the fleet's mean, with what is expected of one more robot as priors. Each robot is kept as
     soon as it is done: after Ctrl-C the same command goes on.
     """
-    check_backend(backend, scheduler)
+    options.check_backend(backend, scheduler)
     home = required(out)
     refuse_foreign(home, ROBOTS, "*.json")
     if not robots.is_dir():
@@ -79,8 +67,6 @@ def fleet(
             raise InputError(f"{home} holds a fleet of other robots; give another folder")
     check_window(wish, datasets[0].train)
     remark_validation(sum(len(one.validation) for one in datasets), "fleet")
-    use_threads(1)
-    from hybrid_id.cli.pieces import kept_pieces
     from hybrid_id.reporting.fleet import (
         fleet_page,
         fleet_pictures,

@@ -1,10 +1,9 @@
 """Folders and files of results: complete under their names, or not there at all; filled bit by bit, or resumed."""
 
 import json
-import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
 from hybrid_id.reading import announce, read_below, read_object
-from hybrid_id.records.files import HIDDEN, hidden_beside, locked, write_whole
+from hybrid_id.records.files import HIDDEN, hidden_beside, locked, write_together, write_whole
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -216,38 +215,41 @@ def remove_empty(folders: list[Path]) -> None:
             folder.rmdir()
 
 
-@contextmanager
-def result_file(path: Path, *, force: bool, beside: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary file that takes the name `path` when it is written; see `refuse_file` for ``beside``."""
-    refuse_file(path, force=force, beside=beside)
-    made = make_parents(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-    os.close(handle)
-    try:
-        yield Path(temporary)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-        remove_empty(made)
+def files_to_write(out: Path, *endings: str, force: bool) -> list[Path]:
+    """The file that the user has named, and those of its name that go with it, by their endings.
 
-
-def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
-    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays.
-
-    Args:
-        path: the file.
-        force: whether it may be replaced.
-        beside: the file that the user has named, where this one, of the same name, goes with it.
+    Raises:
+        InputError: one of them cannot be made, exists, or belongs to a folder of results, to a dataset or to the user.
     """
-    named = beside or path
-    which = f"{path}" if beside is None else f"{path}, the {kind_of(path)} that goes with {beside.name},"
-    if path.is_dir():
+    _refuse_file(out, out, force)
+    remove_empty(make_parents(out))  # a place that cannot be written is said before anything is computed
+    files = [out, *(out.with_suffix(ending) for ending in endings)]
+    if out in files[1:]:
         raise InputError(
-            f"{which} is a folder; give {'the name of a file' if beside is None else 'another name'}"
+            f"{out} would also be the name of the {_kind_of(out)} beside it; take another ending"
         )
+    for file in files[1:]:
+        _refuse_file(file, out, force)
+    return files
+
+
+def write_files(contents: Mapping[Path, str | bytes]) -> None:
+    """Write files that belong together, all or none, and the folders above them."""
+    made = [folder for file in contents for folder in make_parents(file)]
+    try:
+        write_together(contents)
+    except BaseException:
+        remove_empty(made)
+        raise
+
+
+def _refuse_file(path: Path, named: Path, force: bool) -> None:
+    alone = path == named
+    which = f"{path}" if alone else f"{path}, the {_kind_of(path)} that goes with {named.name},"
+    if path.is_dir():
+        raise InputError(f"{which} is a folder; give {'the name of a file' if alone else 'another name'}")
     if path.exists() and not force:
-        both = "" if beside is None else " to replace both"
+        both = "" if alone else " to replace both"
         raise InputError(f"{which} exists; give another name than {named.name}, or --force{both}")
     if path.name in (*RESULTS, "model.yaml", "dataset.yaml") and path.exists():
         raise InputError(
@@ -271,8 +273,7 @@ def refuse_file(path: Path, *, force: bool, beside: Path | None = None) -> None:
         )
 
 
-def kind_of(path: Path) -> str:
-    """What a file is that goes with another one of its name."""
+def _kind_of(path: Path) -> str:
     return "page" if path.suffix == ".html" else "description"
 
 
@@ -352,40 +353,13 @@ def kept_fits(
                 remove_empty(made)
 
 
-def keep_after(home: Path, folder: Path) -> None:
-    """Move the fits to results that are not complete, so that --resume goes on with them."""
+def keep_after(home: Path, folder: Path, kept: "Kept") -> str:
+    """Move the fits to results that are not complete, so that --resume goes on with them; returns words that say so."""
+    count = kept.count
+    if not count:
+        return ""
     (home / FITS).rename(folder / FITS)
-
-
-@contextmanager
-def resumable(path: Path) -> Iterator[None]:
-    """Let Ctrl-C say how a training goes on whose checkpoint is in the folder."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if (path / CHECKPOINT).exists():
-            raise KeyboardInterrupt(f"stopped; {go_on(path)} from its last checkpoint") from None
-        raise
-
-
-def stopped(path: Path) -> str:
-    """What to say of a training that Ctrl-C has ended with results."""
-    return f"stopped; {go_on(path)} from here"
-
-
-def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:
-    """End a training that Ctrl-C has stopped before anything was kept, before it shows what nobody could go on from."""
-    if interrupted and not (path / CHECKPOINT).exists():
-        raise KeyboardInterrupt("stopped before the first checkpoint; no results were written")
-
-
-def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> None:
-    """Raise InputError where a training can neither begin nor go on, before anything is computed."""
-    _refuse_resume_and_force(resume, force)
-    if resume and not (path / CHECKPOINT).exists():
-        raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    # what was killed before its first checkpoint has nothing to lose
-    refuse_taken(path, force=force or resume or only_begun(path), reads=None if resume else config.reads)
+    return f"; {count} fits are kept, and the same command with --resume goes on"
 
 
 @contextmanager
@@ -394,9 +368,16 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
 
     What an earlier run left is put aside as `path.old` (unless this one resumes it), comes back when the new run fails
     before its first checkpoint, and goes when it is complete. A new run saves its settings first; those that the
-    checkpoint of a resumed one belongs to stay until this one is known to fit it.
+    checkpoint of a resumed one belongs to stay until this one is known to fit it. Ctrl-C says how to go on.
+
+    Raises:
+        InputError: the training can neither begin nor go on there.
     """
-    refuse_training(path, config, force=force, resume=resume)
+    _refuse_resume_and_force(resume, force)
+    if resume and not (path / CHECKPOINT).exists():
+        raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+    # what was killed before its first checkpoint has nothing to lose
+    refuse_taken(path, force=force or resume or only_begun(path), reads=None if resume else config.reads)
     made = make_parents(path)
     aside = path.with_name(f"{path.name}.old")
     replaced = path.exists() and any(path.iterdir()) and not resume
@@ -419,12 +400,14 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
                 (path / BEGUN).write_text(ASIDE if ours else "")
                 config.save(path / SETTINGS)
             yield
-        except BaseException:
+        except BaseException as error:
             if not (path / CHECKPOINT).exists():
                 shutil.rmtree(path)
                 if ours:
                     aside.replace(path)
                 remove_empty(made)
+            elif isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"stopped; {go_on(path)} from its last checkpoint") from None
             raise
         (path / BEGUN).unlink(missing_ok=True)
         _name_files(path, but=own)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import FitProgress, remark
 from hybrid_id.cli.folder import RESULT, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
@@ -16,25 +17,7 @@ from hybrid_id.cli.inputs import (
     remark_start_values,
     remark_validation,
 )
-from hybrid_id.cli.options import (
-    DeviceOption,
-    ForceOption,
-    JointOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    PooledOption,
-    ProcessesOption,
-    ResumeOption,
-    SeedOption,
-    SourceArgument,
-    ThreadsOption,
-    WindowOption,
-    config_of,
-    use_device,
-    use_threads,
-)
-from hybrid_id.cli.results import UNDRAWN
+from hybrid_id.cli.results import UNDRAWN, Results, show_study, write_study
 from hybrid_id.config import StudyConfig
 from hybrid_id.config.sections import MOST_STARTS
 from hybrid_id.errors import InputError
@@ -46,11 +29,11 @@ if TYPE_CHECKING:
 
 
 def identify(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
-    pooled: PooledOption = None,
-    joint: JointOption = None,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
+    pooled: options.PooledOption = None,
+    joint: options.JointOption = None,
     starts: Annotated[
         int | None,
         typer.Option(help="Start points; the best end counts.", min=1, max=MOST_STARTS, show_default="1"),
@@ -59,20 +42,19 @@ def identify(
         Literal["l2", "huber", "l1"] | None,
         typer.Option(help="huber and l1 tolerate spikes.", show_default="l2"),
     ] = None,
-    window: WindowOption = None,
-    seed: SeedOption = None,
-    device: DeviceOption = None,
+    window: options.WindowOption = None,
+    seed: options.SeedOption = None,
+    device: options.DeviceOption = None,
     profile: Annotated[
         list[str] | None,
         typer.Option(
             help="Parameter whose interval is found by fits of all others; may be given several times."
         ),
     ] = None,
-    jobs: ProcessesOption = 1,
-    resume: ResumeOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    jobs: options.ProcessesOption = 1,
+    resume: options.ResumeOption = False,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.
 
@@ -80,7 +62,7 @@ def identify(
     what it has, --resume goes on: sets that are complete are not fitted again.
     Prefer train for residual networks beside the physics, and for another ODE solver.
     """
-    config = config_of(
+    config = options.config_of(
         source, model, out, window, identification__pooled=pooled, identification__starts=starts,
         identification__loss=loss, identification__seed=seed, identification__device=device,
         statistics__profile=profile or None,
@@ -96,8 +78,6 @@ def identify(
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
-        use_threads(threads)
-        from hybrid_id.cli.results import show_study, write_study
         from hybrid_id.study.checks import check_names
 
         system, noisier = load_system(config, dataset), list["Dataset"]()
@@ -105,20 +85,18 @@ def identify(
             dataset, system, noisier = one_joint(dataset, system, joint, config.identification.seed)
         remark_start_values(dataset, system)
         remark_validation(len(dataset.validation), "identify")
-        use_device(config.identification.device)
+        options.use_device(config.identification.device)
         check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
         study, progress = run(dataset, system, config, jobs=jobs, kept=kept, noisier=noisier)
         leave_earlier(home, progress)
         draw = progress.cut or not progress.stopped  # who ends complete sets waits for no pictures
         with results_folder(home, force=True) as folder:  # kept_fits has asked
-            text, whole = write_study(folder, home, "identify", config, dataset, study, draw=draw)
+            results = Results(folder, home, config, "identify")
+            text, whole = write_study(results, dataset, study, draw=draw)
             words = left_out(config, progress, whole=whole)
-            count = kept.count if words else 0
-            if count:
-                keep_after(home, folder)
-    show_study(study, config, home, text, as_json=as_json)
+            more = keep_after(home, folder, kept) if words else ""
+    show_study(results, study, text, as_json=as_json)
     if words:
-        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {words}{more}")
         raise typer.Exit(130)
 

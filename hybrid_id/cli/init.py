@@ -38,17 +38,13 @@ UNSURE = ("placeholder", "not known")
 def init(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOGS...", help="Log files, or folders of them.", show_default=False),
+        typer.Argument(metavar="LOGS...", help="Log files, or folders of them."),
     ],
-    robot: Annotated[
-        Path | None, typer.Option("--robot", help="The robot's MJCF or URDF.", show_default=False)
-    ] = None,
+    robot: Annotated[Path | None, typer.Option("--robot", help="The robot's MJCF or URDF.")] = None,
     motor: Annotated[
         Path | None,
         typer.Option(
-            "--motor",
-            help="YAML of the motor's data sheet: gear_ratio, torque_constant, resistance, ...",
-            show_default=False,
+            "--motor", help="YAML of the motor's data sheet: gear_ratio, torque_constant, resistance, ..."
         ),
     ] = None,
     out: Annotated[
@@ -57,7 +53,6 @@ def init(
             "--out",
             "-o",
             help=f"Folder for the files; the logs' own by default, else the logs are copied. {ABOVE}",
-            show_default=False,
         ),
     ] = None,
     force: Annotated[

@@ -214,17 +214,11 @@ def check_window(window: str | float, records: "Sequence[Record]") -> None:
         horizon.check(max(record.n_samples for record in records), step)
 
 
-def remark_idle(said: Identification, command: str) -> None:
-    """Say which settings of the section 'identification' a command does without that has its own least squares."""
-    plain = Identification()
-    if idle := [
-        k
-        for k in type(said).model_fields
-        if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
-    ]:
-        remark(
-            f"{command} fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
-        )
+def remark_idle(said: Identification, words: str, settings: "Sequence[str] | None" = None) -> None:
+    """Say which settings of the section 'identification' a command does without, of these or but seed and window."""
+    plain, asked = Identification(), settings or set(type(said).model_fields) - {"seed", "window"}
+    if idle := [k for k in type(said).model_fields if k in asked and getattr(said, k) != getattr(plain, k)]:
+        remark(f"{words}; of 'identification' it does without {', '.join(idle)}")
 
 
 def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") -> None:

@@ -19,9 +19,20 @@ PAIR_HEADS = ("effect", "mistaken for", "what distinguishes them")
 
 def components(markdown: MarkdownOption = False, as_json: JsonOption = False) -> None:
     """List every kind of component with its places, parameters and units, and its law."""
+    import hybrid_id.components  # noqa: F401  # registers its kinds
+    from hybrid_id.components.base import REGISTRY
     from hybrid_id.reporting.tables import markdown_table, table
 
-    rows = component_rows()
+    kinds = {kind: part for kind, part in REGISTRY.items() if part.__module__.startswith("hybrid_id.")}
+    rows = [
+        (
+            kind,
+            ", ".join(kinds[kind].places),
+            ", ".join(f"{name} [{spec.unit}]" for name, spec in kinds[kind].declared.items()) or "none",
+            (kinds[kind].__doc__ or "").splitlines()[0],
+        )
+        for kind in _along_the_chain({kind: part.places for kind, part in kinds.items()})
+    ]
     if as_json:
         heads = ("kind", "place", "parameters", "law")
         show_json("components", {"components": [dict(zip(heads, row, strict=True)) for row in rows]})
@@ -41,17 +52,11 @@ def effects(markdown: MarkdownOption = False, as_json: JsonOption = False) -> No
 
     rows, pairs = effect_rows(), pair_rows()
     if as_json:
+        keys = ("effect", "about", "where", "laws", "smoothness", "mistaken_for", "source")
         named = [
-            {
-                "effect": name,
-                "about": about,
-                "where": where,
-                "laws": list(effect(name).kinds),
-                "smoothness": smoothness,
-                "mistaken_for": rivals(name),
-                "source": source,
-            }
-            for name, about, where, _, smoothness, _, source in rows
+            dict(zip(keys, row, strict=True))
+            | {"laws": list(effect(row[0]).kinds), "mistaken_for": rivals(row[0])}
+            for row in rows
         ]
         show_json("effects", {"effects": named})
     elif markdown:
@@ -69,24 +74,6 @@ def markdown_tables() -> str:
     rows = [(f"`{name}`", *rest) for name, *rest in effect_rows()]
     pairs = [(f"`{one}`", f"`{other}`", words) for one, other, words in pair_rows()]
     return f"{markdown_table(EFFECT_HEADS, rows)}\n\n{markdown_table(PAIR_HEADS, pairs)}"
-
-
-def component_rows() -> list[tuple[str, ...]]:
-    """Kind, places, parameters with units, and the first line of the docstring, in the order of the drive chain."""
-    import hybrid_id.components  # noqa: F401  # registers its kinds
-    from hybrid_id.components.base import REGISTRY
-
-    kinds = {kind: part for kind, part in REGISTRY.items() if part.__module__.startswith("hybrid_id.")}
-    parts = ((kind, kinds[kind]) for kind in _along_the_chain({k: part.places for k, part in kinds.items()}))
-    return [
-        (
-            kind,
-            ", ".join(part.places),
-            ", ".join(f"{name} [{spec.unit}]" for name, spec in part.declared.items()) or "none",
-            (part.__doc__ or "").splitlines()[0],
-        )
-        for kind, part in parts
-    ]
 
 
 def effect_rows() -> list[tuple[str, ...]]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from hybrid_id.config import StudyConfig, study_config
-from hybrid_id.config.sections import MOST_JOBS, MOST_SEED, MOST_THREADS
+from hybrid_id.config.sections import MOST_JOBS, MOST_SEED
 from hybrid_id.errors import InputError
 
 ABOVE = "Folders above it are made."
@@ -15,23 +15,17 @@ ABOVE = "Folders above it are made."
 
 DatasetArgument = Annotated[
     Path,
-    typer.Argument(
-        metavar="DATASET", help="Folder with dataset.yaml, or a dataset file.", show_default=False
-    ),
+    typer.Argument(metavar="DATASET", help="Folder with dataset.yaml, or a dataset file."),
 ]
 SourceArgument = Annotated[
     Path,
-    typer.Argument(
-        metavar="CONFIG|DATASET", help="Study file, or a dataset to use with --model.", show_default=False
-    ),
+    typer.Argument(metavar="CONFIG|DATASET", help="Study file, or a dataset to use with --model."),
 ]
 ModelOption = Annotated[
     Path | None,
-    typer.Option("--model", "-m", help="Model file; DATASET/model.yaml by default.", show_default=False),
+    typer.Option("--model", "-m", help="Model file; DATASET/model.yaml by default."),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
-]
+OutOption = Annotated[Path | None, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}")]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace results of an earlier run, once the new ones are complete.")
 ]
@@ -39,9 +33,7 @@ ForceFilesOption = Annotated[bool, typer.Option("--force", help="Replace files t
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 SeedOption = Annotated[
     int | None,
-    typer.Option(
-        help="Seed of everything that is drawn at random.", min=0, max=MOST_SEED, show_default=False
-    ),
+    typer.Option(help="Seed of everything that is drawn at random.", min=0, max=MOST_SEED),
 ]
 DeviceOption = Annotated[str | None, typer.Option(help="Where to compute: cpu or cuda.", show_default="cpu")]
 WindowOption = Annotated[
@@ -51,12 +43,6 @@ WindowOption = Annotated[
         help="Horizon: free runs of this length from measured states, over whole records, or from rest to rest; "
         "auto: over whole records where they follow them.",
         show_default="auto",
-    ),
-]
-ThreadsOption = Annotated[
-    int,
-    typer.Option(
-        help="Threads inside torch; one is fastest for records of usual size.", min=1, max=MOST_THREADS
     ),
 ]
 
@@ -86,7 +72,7 @@ ProcessesOption = Annotated[
 ]
 BackendOption = Annotated[Backend, typer.Option(help="joblib: this machine; dask: an existing cluster.")]
 SchedulerOption = Annotated[
-    str | None, typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.", show_default=False)
+    str | None, typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.")
 ]
 
 
@@ -123,13 +109,6 @@ def config_of(
         seconds = horizon.seconds if horizon is not None and horizon.kind == "windows" else window
         named["identification.window"] = seconds
     return study_config(source, named)
-
-
-def use_threads(count: int) -> None:
-    """Set torch's threads for this process."""
-    import torch
-
-    torch.set_num_threads(count)
 
 
 def use_device(name: str) -> str:

@@ -6,19 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hybrid_id.cli import options
 from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
 from hybrid_id.cli.inputs import check_window, read_model, records_to_replay
-from hybrid_id.cli.options import (
-    ABOVE,
-    DatasetArgument,
-    ForceOption,
-    JsonOption,
-    ModelOption,
-    ThreadsOption,
-    WindowOption,
-    use_threads,
-)
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import beside
 from hybrid_id.errors import InputError
@@ -28,51 +19,36 @@ if TYPE_CHECKING:
     from hybrid_id.study import Comparison
     from hybrid_id.systems.chain import System
 
-Folder = Annotated[
-    Path, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
-]
+Folder = Annotated[Path, typer.Option("--out", "-o", help=f"Folder for the results. {options.ABOVE}")]
 
 
 def simulate(
-    dataset: DatasetArgument,
+    dataset: options.DatasetArgument,
     out: Folder,
-    model: ModelOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    model: options.ModelOption = None,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures."""
     models = [model or beside(dataset)]
-    _replay("simulate", dataset, models, out, window="whole", force=force, as_json=as_json, threads=threads)
+    _replay("simulate", dataset, models, out, window="whole", force=force, as_json=as_json)
 
 
 def compare(
-    dataset: DatasetArgument,
+    dataset: options.DatasetArgument,
     out: Folder,
-    model: Annotated[
-        list[Path],
-        typer.Option("--model", "-m", help="Model file; give one for each model.", show_default=False),
-    ],
-    window: WindowOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    model: Annotated[list[Path], typer.Option("--model", "-m", help="Model file; give one for each model.")],
+    window: options.WindowOption = None,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures."""
     window = window or "auto"
-    _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json, threads=threads)
+    _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json)
 
 
 def _replay(
-    command: str,
-    path: Path,
-    models: list[Path],
-    out: Path,
-    *,
-    window: str,
-    force: bool,
-    as_json: bool,
-    threads: int,
+    command: str, path: Path, models: list[Path], out: Path, *, window: str, force: bool, as_json: bool
 ) -> None:
     refuse_taken(out, force=force, reads=[path, *models])
     twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
@@ -83,7 +59,6 @@ def _replay(
         raise InputError(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
         )
-    use_threads(threads)
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.page import how_made
     from hybrid_id.reporting.replays import replay_figures, replay_page

@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import FitProgress, remark, show
 from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
-from hybrid_id.cli.options import ABOVE, JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import ABOVE, JsonOption
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import Identification
 from hybrid_id.records.files import make_folder
@@ -17,19 +17,16 @@ from hybrid_id.reporting.provenance import program
 def reproduce(
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help=f"Folder for the page and its parts. {ABOVE}", show_default=False),
+        typer.Option("--out", "-o", help=f"Folder for the page and its parts. {ABOVE}"),
     ],
     quick: Annotated[
         bool, typer.Option("--quick", help="Two short records a stage: a look at everything.")
     ] = False,
     seeds: Annotated[
         int | None,
-        typer.Option(
-            help="Runs of each closed loop; 20, with --quick 2.", min=1, max=1000, show_default=False
-        ),
+        typer.Option(help="Runs of each closed loop; 20, with --quick 2.", min=1, max=1000),
     ] = None,
     as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
 ) -> None:
     """Reproduce the paper on digital twins: every table and figure, printed values beside ours, on one page.
 
@@ -38,7 +35,6 @@ def reproduce(
     parts = out / "parts"
     refuse_foreign(out, parts.name, "*.json")
     make_folder(parts)
-    use_threads(threads)
     from hybrid_id.paper.page import QUICK, claims_table, paper_page
     from hybrid_id.paper.run import reproduce as run
     from hybrid_id.reporting.page import how_made

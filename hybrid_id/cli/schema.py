@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.folder import files_to_write, write_files
 from hybrid_id.cli.options import ABOVE, ForceFilesOption
 
 if TYPE_CHECKING:
@@ -17,16 +17,11 @@ if TYPE_CHECKING:
 def schema(
     kind: Annotated[
         Literal["dataset", "model", "study", "motor"],
-        typer.Argument(
-            help="Kind of file: dataset.yaml, model.yaml, a study file, a motor's data sheet.",
-            show_default=False,
-        ),
+        typer.Argument(help="Kind of file: dataset.yaml, model.yaml, a study file, a motor's data sheet."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", help=f"File to write; the screen by default. {ABOVE}", show_default=False
-        ),
+        typer.Option("--out", "-o", help=f"File to write; the screen by default. {ABOVE}"),
     ] = None,
     force: ForceFilesOption = False,
 ) -> None:
@@ -38,8 +33,8 @@ def schema(
     if out is None:
         show(text)
         return
-    with result_file(out, force=force) as file:
-        file.write_text(f"{text}\n", encoding="utf-8")
+    files_to_write(out, force=force)
+    write_files({out: f"{text}\n"})
     remark(f"first line of a file beside it: {schema_line(out.name)}")
 
 

@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import FitProgress, console, counting, remark, show
+from hybrid_id.cli import options
+from hybrid_id.cli.console import FitProgress, console, counting, remark
 from hybrid_id.cli.folder import (
     CHECKPOINT,
     EVENTS,
     RESULT,
     added_results,
-    leave_without_checkpoint,
+    go_on,
     live_folder,
-    refuse_training,
     required,
     results_folder,
-    resumable,
-    stopped,
 )
 from hybrid_id.cli.inputs import (
     MOST_JOINTS,
@@ -29,23 +27,8 @@ from hybrid_id.cli.inputs import (
     load_system,
     remark_idle,
 )
-from hybrid_id.cli.options import (
-    DeviceOption,
-    ForceOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    PooledOption,
-    ResumeOption,
-    SeedOption,
-    SourceArgument,
-    ThreadsOption,
-    config_of,
-    use_device,
-    use_threads,
-)
-from hybrid_id.cli.results import files_in, show_study, write_last, write_report, write_study
-from hybrid_id.config import Hybrid, Identification, StudyConfig
+from hybrid_id.cli.results import Results, show_study, write_last, write_study
+from hybrid_id.config import Hybrid, StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,13 +40,13 @@ if TYPE_CHECKING:
 
 
 def train(
-    source: SourceArgument,
-    model: ModelOption = None,
-    out: OutOption = None,
-    resume: ResumeOption = False,
-    pooled: PooledOption = None,
-    seed: SeedOption = None,
-    device: DeviceOption = None,
+    source: options.SourceArgument,
+    model: options.ModelOption = None,
+    out: options.OutOption = None,
+    resume: options.ResumeOption = False,
+    pooled: options.PooledOption = None,
+    seed: options.SeedOption = None,
+    device: options.DeviceOption = None,
     joint: Annotated[
         list[str] | None,
         typer.Option(
@@ -71,9 +54,8 @@ def train(
             "where records left out are surely better for it. May be given several times."
         ),
     ] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    threads: ThreadsOption = 1,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> None:
     """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
 
@@ -86,7 +68,7 @@ def train(
     With --joint, a robot's joints get networks one by one, the others as measured, by least squares: seconds a joint,
     so that no fits are kept and --resume, --device and --per-record have no use.
     """
-    config = config_of(
+    config = options.config_of(
         source, model, out, identification__pooled=pooled, identification__seed=seed,
         identification__device=device,
     )  # fmt: skip
@@ -94,12 +76,10 @@ def train(
     if joint:
         if pooled is False:
             raise InputError("--joint fits one set over all records; leave --per-record out")
-        by_joint(config, home, joint, force=force, resume=resume, as_json=as_json, threads=threads)
+        by_joint(config, home, joint, force=force, resume=resume, as_json=as_json)
         return
-    with resumable(home):
-        refuse_training(home, config, force=force, resume=resume)
+    with live_folder(home, config, force=force, resume=resume):
         dataset = checked_records(config)
-        use_threads(threads)
         system = load_system(config, dataset)
         say_how_long(system)
         if any(c.name.startswith("tau_a") for c in dataset.outputs) and any(system.dry):
@@ -107,7 +87,7 @@ def train(
                 f"{config.dataset}: 'train' smooths dry friction, with which the torque at the link (tau_a) jumps; "
                 "leave tau_a out of its outputs, or take 'identify'."
             )
-        use_device(config.identification.device)
+        options.use_device(config.identification.device)
         if config.hybrid is not None:
             if pooled is False:
                 raise InputError(
@@ -131,18 +111,15 @@ def train(
             check_windows(config, "hybrid.windows", trained)
         else:
             check_windows(config, "training.windows", dataset.train)
-            said, plain = config.identification, Identification()
-            idle = [k for k in ("starts", "friction", "substeps") if getattr(said, k) != getattr(plain, k)]
-            if idle:
-                remark(
-                    "'train' has one start and a smooth friction of its own ('training.width', 'training.fine'), so "
-                    f"that {', '.join(idle)} of 'identification' {'is' if len(idle) == 1 else 'are'} not used"
-                )
-        with live_folder(home, config, force=force, resume=resume):
-            run = _hybrid if config.hybrid is not None else _physics
-            if run(dataset, system, config, home, resume=resume, as_json=as_json):
-                remark(stopped(home))  # what this one replaces is kept
-                raise typer.Exit(130)
+            remark_idle(
+                config.identification,
+                "'train' has one start and a smooth friction of its own ('training.width', 'training.fine')",
+                ("starts", "friction", "substeps"),
+            )
+        run = _hybrid if config.hybrid is not None else _physics
+        if run(dataset, system, config, home, resume=resume, as_json=as_json):
+            remark(f"stopped; {go_on(home)} from here")  # what this one replaces is kept
+            raise typer.Exit(130)
 
 
 def by_joint(
@@ -153,7 +130,6 @@ def by_joint(
     force: bool,
     resume: bool,
     as_json: bool,
-    threads: int,
 ) -> None:
     """Networks at a robot's joints, one by one: write the folder of results and print them."""
     if config.hybrid is not None:
@@ -165,11 +141,10 @@ def by_joint(
         raise InputError("--joint all takes every joint; leave the others out")
     if resume:
         raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
-    remark_idle(config.identification, "train --joint")
+    remark_idle(config.identification, "train --joint fits least squares in its own way")
     dataset = checked_records(config)
     with config.at("identification.window"):
         check_window(config.identification.window, dataset.records)
-    use_threads(threads)
     from hybrid_id.reporting.residual_torques import (
         residuals_page,
         residuals_pictures,
@@ -179,7 +154,6 @@ def by_joint(
     from hybrid_id.reporting.results import write_physics
     from hybrid_id.study import Horizon
     from hybrid_id.study.residual_torques import learn_residuals
-    from hybrid_id.systems.model_file import save_model
 
     system = load_system(config, dataset)
     if system.tree is None:
@@ -197,24 +171,17 @@ def by_joint(
                 dataset, system, [] if "all" in joints else joints,
                 horizon=Horizon.of(config.identification.window), say=say,
             )  # fmt: skip
-        save_model(found.system, folder / "model.yaml", home)
-        save_model(found.physics, folder / "physics.yaml", home)
+        results = Results(folder, home, config, "train")
+        results.model(found.system)
+        results.model(found.physics, "physics.yaml")
         write_physics(folder / "parameters.csv", found)
         text = to_json("train", {"dataset": dataset.name} | residuals_result(found))
-        whole = write_report(
-            folder,
-            home,
-            config,
-            "train",
-            figures=lambda: residuals_pictures(found),
-            page=lambda pictures: residuals_page(dataset, found, pictures),
+        whole = results.report(
+            lambda: residuals_pictures(found), lambda pictures: residuals_page(dataset, found, pictures)
         )
         write_last(folder / RESULT, text)
-    if as_json:
-        show(text)
-    else:
-        show(residuals_page(dataset, found, {}).screen())
-        show(files_in(home, config, "parameters.csv", RESULT, "model.yaml", "physics.yaml"))
+    names = ("parameters.csv", RESULT, "model.yaml", "physics.yaml")
+    results.show(text, residuals_page(dataset, found, {}).screen(), *names, as_json=as_json)
     if found.interrupted or not whole:
         raise typer.Exit(130)
 
@@ -249,7 +216,8 @@ def _physics(
             progress=progress,
         )  # fmt: skip
     interrupted = any(result.status == "interrupted" for result in sets)
-    leave_without_checkpoint(home, interrupted=interrupted)
+    if interrupted and not saved.exists():
+        raise KeyboardInterrupt  # no results were written
     study = analyse_fits(
         dataset,
         system,
@@ -259,8 +227,9 @@ def _physics(
         level=config.statistics.level,
     )
     with added_results(home) as folder:
-        text, whole = write_study(folder, home, "train", config, dataset, study)
-    show_study(study, config, home, text, as_json=as_json)
+        results = Results(folder, home, config, "train")
+        text, whole = write_study(results, dataset, study)
+    show_study(results, study, text, as_json=as_json)
     if any(system.dry):
         remark(
             f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes "
@@ -279,7 +248,6 @@ def _hybrid(
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.tensorboard import TrainingLog, write_images
     from hybrid_id.study.hybrid import hybrid_residuals, hybridise, physics_alone
-    from hybrid_id.systems.model_file import save_model
 
     wish, err, saved = config.hybrid or Hybrid(), console(stderr=True), home / CHECKPOINT
     with (
@@ -300,7 +268,8 @@ def _hybrid(
             level=config.statistics.level, writer=log, checkpoint=saved, resume=saved if resume else None,
             progress=progress,
         )  # fmt: skip
-    leave_without_checkpoint(home, interrupted=study.result.interrupted)
+    if study.result.interrupted and not saved.exists():
+        raise KeyboardInterrupt  # no results were written
     residuals = hybrid_residuals(dataset, study)
     content = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
     text = to_json("train", {"dataset": dataset.name} | content)
@@ -310,23 +279,17 @@ def _hybrid(
         return hybrid_page(dataset, study, pictures, alone=alone, residuals=residuals)
 
     with added_results(home) as folder:
-        save_model(study.result.system, folder / "model.yaml", home)
-        save_model(study.result.physics.system, folder / "physics.yaml", home)
-        whole = write_report(
-            folder,
-            home,
-            config,
-            "train",
-            figures=lambda: hybrid_pictures(study),
-            page=page,
+        results = Results(folder, home, config, "train")
+        results.model(study.result.system)
+        results.model(study.result.physics.system, "physics.yaml")
+        whole = results.report(
+            lambda: hybrid_pictures(study),
+            page,
             events=lambda place, images: write_images(place / "figures", images),
         )
         write_last(folder / RESULT, text)
-    if as_json:
-        show(text)
-    else:
-        show(hybrid_tables(study, dataset))
-        show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
+    names = (RESULT, "model.yaml", "physics.yaml")
+    results.show(text, hybrid_tables(study, dataset), *names, as_json=as_json)
     return study.result.interrupted or not whole
 
 

@@ -16,12 +16,11 @@ from typing import Any
 
 from pydantic import ConfigDict, PrivateAttr, model_validator
 
-from hybrid_id.config.ablation import Ablation
 from hybrid_id.config.sections import (
+    Ablation,
     Gap,
     Hybrid,
     Identification,
-    Network,
     Output,
     Preprocessing,
     Previous,
@@ -33,23 +32,6 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.yaml_file import FilePath, read_yaml, validate, write_yaml
 
 MODEL_NAME = "model.yaml"
-__all__ = [
-    "MODEL_NAME",
-    "Ablation",
-    "Gap",
-    "Hybrid",
-    "Identification",
-    "Network",
-    "Output",
-    "Preprocessing",
-    "Previous",
-    "Statistics",
-    "StudyConfig",
-    "Training",
-    "beside",
-    "load_config",
-    "study_config",
-]
 
 
 class StudyConfig(Section):

@@ -1,16 +1,16 @@
 """The sections of a study file, with all their defaults."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES
 from hybrid_id.records.schema import ResampleEntry
 from hybrid_id.records.yaml_file import FilePath
 
 MOST_SEED = 2**32 - 1  # what every generator of random numbers takes
-MOST_STARTS, MOST_JOBS, MOST_THREADS, MOST_EFFECTS = 10_000, 1000, 1000, 100
-"""What a command may be asked for at most: start points, processes, threads, effects."""
+MOST_STARTS, MOST_JOBS, MOST_EFFECTS, MOST_REPEATS = 10_000, 1000, 100, 1000
+"""What a command may be asked for at most: start points, processes, effects, repeats."""
 SMALLEST, LARGEST = 1e-12, 1e12
 """Of a quantity that a study file gives, in its unit; beyond them squares are lost, or nothing ends."""
 
@@ -28,6 +28,40 @@ Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
 Price = Annotated[float, Field(ge=0, le=LARGEST)]
 Stages = Annotated[list[tuple[Positive, Count]], Field(max_length=100)]
 """Stages before the whole records, each (length of a window [s], use one window in this many)."""
+
+
+Item = TypeVar("Item")
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    """The values as they are; a ValueError where one is there twice."""
+    for k, value in enumerate(values):
+        if value in values[:k]:
+            raise ValueError(f"{value} is given twice; keep one of them")
+    return values
+
+
+Distinct = Annotated[list[Item], Field(min_length=1), AfterValidator(_distinct)]
+
+
+def _seeds(value: Any) -> Any:
+    """A number of repeats stands for the first seeds."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    if not 1 <= value <= MOST_REPEATS:
+        raise ValueError(f"give from 1 to {MOST_REPEATS} repeats, or a list of seeds")
+    return list(range(value))
+
+
+Places = Annotated[
+    Distinct[str],
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value, str | list[str]),
+]
+Seeds = Annotated[
+    Distinct[Annotated[int, Field(ge=0, le=MOST_SEED)]],
+    Field(max_length=MOST_REPEATS),
+    BeforeValidator(_seeds, int | list[int]),
+]
 
 
 class Section(BaseModel):
@@ -180,7 +214,7 @@ class Hybrid(Section):
     optimizer: Literal["gauss_newton", "adam"] = "gauss_newton"
     rate: Positive = 0.01
     clip: Positive = 1.0
-    validation: list[str] | None = Field(default=None, min_length=1)
+    validation: Distinct[str] | None = None
 
     @field_validator("networks")
     @classmethod
@@ -190,12 +224,42 @@ class Hybrid(Section):
             raise ValueError("a place takes one network, and two are given for the same; leave one out")
         return networks
 
-    @field_validator("validation")
-    @classmethod
-    def _once(cls, names: list[str] | None) -> list[str] | None:
-        if names is not None and len(set(names)) < len(names):
-            raise ValueError("a record stands here twice; name each one once")
-        return names
+
+class Ablation(Section):
+    """What `ablate` compares; solver and stages are those of `training` and `hybrid`.
+
+    What the networks read, and their bound, are those of the first network of `hybrid`, as are `place` and
+    `width` where they are left out. Every combination is an arm, each with the same records and seeds.
+
+    Attributes:
+        residual: kinds of networks beside the physics; `none` is always there, `black_box` is a network alone.
+        place: where they act; a list in the list puts one network in each of its places.
+        width: neurons of the hidden layer.
+        reads: `own`: a network reads its own joint's signals; `all`: angle and speed of every other joint, too.
+        physics: what is taken out on purpose, one list an arm: components by place and kind, parameters by name.
+        memory: hidden states of a network with memory.
+        black_box_width: neurons of the network that stands alone.
+        seeds: repeats, or their seeds; each draws its records and the networks' first weights.
+        validation, test: shares of the train records that are drawn to validate and to test; where there are records of
+            role test, these test in every repeat instead.
+        out_of_range: patterns of names or notes of records that no arm trains on, tested apart.
+        horizon: length of the short free runs beside the whole records [s].
+    """
+
+    residual: list[Literal["none", "static", "memory", "black_box"]] = Field(
+        default=["static", "memory", "black_box"]
+    )
+    place: Distinct[Places] | None = None
+    width: Distinct[Neurons] | None = None
+    reads: Distinct[Literal["own", "all"]] = Field(default=["own"])
+    physics: list[list[str]] = Field(default=[])
+    memory: int = Field(default=2, ge=1, le=MOST_STATES)
+    black_box_width: Neurons = 16
+    seeds: Seeds = Field(default=list(range(5)))
+    validation: float = Field(default=0.2, gt=0, lt=1)
+    test: float = Field(default=0.2, gt=0, lt=1)
+    out_of_range: list[str] = Field(default=[])
+    horizon: Positive = 0.2
 
 
 class Gap(Section):

@@ -40,9 +40,10 @@ def ode_engine(config: StudyConfig) -> OdeEngine:
     """
     from hybrid_id.simulation.solvers import OdeEngine
 
-    names = ("substeps", "width", "fine", "method", "gradient")
     with config.at("training"):
-        return OdeEngine(**{name: getattr(config.training, name) for name in names})
+        return OdeEngine(
+            **config.training.model_dump(include={"substeps", "width", "fine", "method", "gradient"})
+        )
 
 
 def train_options(config: StudyConfig) -> TrainOptions:
@@ -50,11 +51,10 @@ def train_options(config: StudyConfig) -> TrainOptions:
     from hybrid_id.identification.adjoint import TrainOptions
     from hybrid_id.identification.objective import Loss
 
-    how, names = config.training, ("max_iterations", "tolerance", "validate_every")
     return TrainOptions(
-        windows=tuple(how.windows),
+        windows=tuple(config.training.windows),
         loss=Loss(config.identification.loss, config.identification.threshold),
-        **{name: getattr(how, name) for name in names},
+        **config.training.model_dump(include={"max_iterations", "tolerance", "validate_every"}),
     )
 
 
@@ -63,12 +63,10 @@ def hybrid_options(config: StudyConfig, wish: Hybrid) -> HybridOptions:
     from hybrid_id.identification.hybrid import HybridOptions
     from hybrid_id.identification.objective import Loss
 
-    same = ("price", "max_iterations", "tolerance", "patience", "validate_every", "worth")
-    same += ("optimizer", "rate", "clip")
     return HybridOptions(
         windows=tuple(wish.windows),
         loss=Loss(config.identification.loss, config.identification.threshold),
         starts=config.identification.starts,
         seed=config.identification.seed,
-        **{name: getattr(wish, name) for name in same},
+        **wish.model_dump(exclude={"networks", "validation", "windows"}),
     )

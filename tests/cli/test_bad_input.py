@@ -110,10 +110,9 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
         lambda folder: (folder / "out.yaml").write_text('gear_ratio: "50:1"\n'),
         ("key 'gear_ratio' must be a valid number, found '50:1'.",),
     ),
-    "threads beyond all use": ("identify {data} --threads 1000000000 --out {out}", nothing, ("--threads",)),
     **{
         f"{option} of 400 digits": (f"identify {{data}} {option} {'9' * 400} --out {{out}}", nothing, (option,))
-        for option in ("--threads", "--starts", "--seed")
+        for option in ("--starts", "--seed")
     },
     "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "endless signal": ("excite --duration 1e9 --out {out}", nothing, ("--duration",)),

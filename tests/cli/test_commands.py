@@ -27,8 +27,8 @@ from hybrid_id.cli.folder import (
     CHECKPOINT,
     EVENTS,
     added_results,
+    files_to_write,
     live_folder,
-    refuse_file,
     refuse_foreign,
     refuse_taken,
     results_folder,
@@ -280,8 +280,8 @@ def test_force_never_takes_a_record_of_the_dataset_beside_it(tmp_path: Path) -> 
         (tmp_path / name).write_text("t,u1\n")
     for name in ("run_1.csv", "log_7.csv"):
         with pytest.raises(InputError, match="a record of the dataset beside it"):
-            refuse_file(tmp_path / name, force=True)
-    refuse_file(tmp_path / "n_1.csv", force=True)
+            files_to_write(tmp_path / name, force=True)
+    files_to_write(tmp_path / "n_1.csv", force=True)
 
 
 def test_force_never_takes_results_that_lie_inside_the_folder(run, drive: Path, tmp_path: Path) -> None:

@@ -1,11 +1,12 @@
 """`export`: the files, what is said about them, and wrong input."""
 
 from pathlib import Path
+from typing import cast
 
 import pytest
 import torch
 
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.folder import write_files
 
 
 def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
@@ -80,8 +81,8 @@ def test_folders_above_a_file_are_made_and_go_with_it(run, drive: Path, tmp_path
     out = tmp_path / "a" / "b" / "ranges.json"
     assert run("export", drive / "model.yaml", "--to", "ranges", "--out", out).code == 0 and out.exists()
     (tmp_path / "c").mkdir()
-    with pytest.raises(ZeroDivisionError), result_file(tmp_path / "c" / "d" / "e.json", force=False):
-        raise ZeroDivisionError
+    with pytest.raises(TypeError):
+        write_files({tmp_path / "c" / "d" / "e.json": cast(str, 7)})
     assert not list((tmp_path / "c").iterdir())
 
 
