@@ -37,6 +37,8 @@ WORSE = 1.25
 """Times the fleet's median error from which on a robot's error of fit is called odd; less is a matter of its motion."""
 ROUNDS = 20
 """Of setting odd robots aside and taking them back."""
+WITHIN = 1e-4
+"""Variance between records of one robot that its estimation starts from, as a share of the parameter squared."""
 _NONE, _HUGE = 1e-7, 1e3
 """Spreads, as a share of a parameter's size, that stand for none at all, and for one beyond all bounds."""
 _DROP = 1.92
@@ -149,45 +151,27 @@ def fleet(
     for enough in (~odd_fit, np.ones_like(odd_fit)):
         kept = kept if kept.sum() >= FEWEST else enough
     while True:
-        variances = levels.fit(kept)
-        state = levels.state(*variances, kept)
+        some = levels.select(kept)
+        variances = some.fit()
+        of_free = levels.compared(*variances, kept)
         seen.append(kept)
-        others = ~odd_fit & ~state.improbable.any(1)
+        others = ~odd_fit & ~of_free["odd"].any(1)
         if others.sum() < FEWEST or any((others == mask).all() for mask in seen) or len(seen) == ROUNDS:
             break
         kept = others
+    known = np.isfinite(of_free["mean_error"])
+    of_free["spread_interval"] = np.where(known[:, None], some.spread_intervals(*variances), np.nan).T
+    # the free parameters among all of them, in their units
     own = np.array([np.mean(of_robot, 0) for of_robot in values])
-    known = np.where(state.determined, 1.0, np.nan)
-    reach = float(stdtrit(kept.sum() - 1, 0.975)) * state.mean_error * known
-    between, within = (np.sqrt(np.where(v > 10.0 * _NONE**2, v, 0.0)) for v in variances)
-
-    def whole(
-        of_free: np.ndarray, otherwise: float | np.ndarray = np.nan, unit: np.ndarray = size
-    ) -> np.ndarray:
-        """What was found of the free parameters, the last axis, among all of them, in their units."""
-        of_all = np.broadcast_to(
-            np.asarray(otherwise, of_free.dtype), (*of_free.shape[:-1], len(size))
-        ).copy()
-        of_all[..., free] = of_free * unit[free]
-        return of_all
-
-    return Fleet(
-        mean=whole(state.mean * known, own[kept].mean(0)),
-        mean_error=whole(state.mean_error * known),
-        mean_interval=whole(np.array([-reach, reach]) + state.mean).T,
-        spread=whole(between * known),
-        spread_interval=whole(levels.spread_intervals(*variances, kept).T * known).T,
-        record_spread=whole(within * known if levels.repeated else np.full(free.sum(), np.nan)),
-        own=whole(state.own, own),
-        own_error=whole(state.own_error),
-        values=whole(state.values, own),
-        errors=whole(state.errors),
-        deviation=whole(state.deviation, 0.0, np.ones_like(size)),
-        odd=whole(state.improbable, False, np.ones_like(free)),
-        odd_fit=odd_fit,
-        misfit=relative,
-        held=held,
-    )
+    held_have = {"mean": own[kept].mean(0), "own": own, "values": own, "deviation": 0.0, "odd": False}
+    of_all = {}
+    for name, found in of_free.items():
+        of_all[name] = np.empty((*found.shape[:-1], len(size)), found.dtype)
+        of_all[name][...] = held_have.get(name, np.nan)
+        of_all[name][..., free] = found if name in ("deviation", "odd") else found * size[free]
+    for name in ("mean_interval", "spread_interval"):
+        of_all[name] = of_all[name].T
+    return Fleet(**of_all, odd_fit=odd_fit, misfit=relative, held=held)
 
 
 def _information(hessian: np.ndarray, covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -202,21 +186,6 @@ def _information(hessian: np.ndarray, covariance: np.ndarray, free: np.ndarray) 
     scaled = (covariance * np.outer(scale, scale))[np.ix_(free, free)]
     inverse = axes @ np.linalg.pinv(axes.T @ scaled @ axes, hermitian=True) @ axes.T
     return inverse * np.outer(scale[free], scale[free])
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """What follows from variances, in units of the parameters' sizes: the mean, and each robot; see :class:`Fleet`."""
-
-    mean: np.ndarray
-    mean_error: np.ndarray
-    determined: np.ndarray
-    own: np.ndarray
-    own_error: np.ndarray
-    values: np.ndarray
-    errors: np.ndarray
-    deviation: np.ndarray
-    improbable: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,18 +229,20 @@ class _Levels:
             errors.append(np.where(determined, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf))
         return np.array(own), np.array(errors)
 
-    def start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variances to start from: robust scatter of the robots' own estimates, and a little between records."""
-        none = np.zeros(self.theta.shape[1])
-        scatter = np.clip(np.nan_to_num(_around_median(*self.own(none))[1], nan=0.1), 1e-4, 1.0)
-        return scatter**2, np.full_like(scatter, 1e-4) if self.repeated else none
+    def around_median(self, c: float) -> tuple[np.ma.MaskedArray, ...]:
+        """Distances of the robots' own estimates from their median (n, p), their errors, and robust scatter (p,)."""
+        own, error = (
+            np.ma.masked_invalid(found)
+            for found in self.own(np.full(self.theta.shape[1], c if self.repeated else 0.0))
+        )
+        own = np.ma.masked_where(error.mask, own)
+        apart = abs(own - np.ma.median(own, axis=0))
+        return apart, error, 1.4826 * np.ma.median(apart, axis=0)
 
     def far(self) -> np.ndarray:
-        """Robots far from the median in some parameter (n,) bool."""
-        own, error = self.own(self.start()[1])
-        apart, scatter = _around_median(own, error)
-        # nothing is far where nothing is known
-        return np.asarray((apart > FAR * np.maximum(scatter, error)).any(1))
+        """Robots far from the median in some parameter (n,) bool; nothing is far where nothing is known."""
+        apart, error, scatter = self.around_median(WITHIN)
+        return np.asarray((apart > FAR * np.ma.maximum(scatter, error)).filled(False).any(1))
 
     def around_mean(self, t: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, ...]:
         """Of each robot with the fleet's spread: what it says of the mean.
@@ -314,36 +285,36 @@ class _Levels:
         )
         return -0.5 * (float(logs) + quadratic), by_robots, by_records
 
-    def fit(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self) -> tuple[np.ndarray, np.ndarray]:
         """Variances of largest restricted likelihood, between robots and between records of one (p,) each."""
-        some, start = self.select(kept), self.select(kept).start()
-        many = 2 if some.repeated else 1  # kinds of variances that can be estimated
+        p = self.theta.shape[1]
 
         def variances(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            both = np.exp(logs).reshape(many, -1)
-            return both[0], both[1] if many == 2 else np.zeros_like(both[0])
+            return np.exp(logs[:p]), np.exp(logs[p:]) if self.repeated else np.zeros(p)
 
         def cost(logs: np.ndarray) -> tuple[float, np.ndarray]:
-            value, *slopes = some.likelihood(*variances(logs))
-            return -value, -np.concatenate(slopes[:many])
+            value, *slopes = self.likelihood(*variances(logs))
+            return -value, -np.concatenate(slopes)[: len(logs)]
 
-        first = np.log(np.concatenate(start[:many]))
+        scatter = np.clip(np.ma.filled(self.around_median(0.0)[2], 0.1), 1e-4, 1.0)
+        first = np.log(np.concatenate([scatter**2, np.full(p if self.repeated else 0, WITHIN)]))
         bounds = [(2 * np.log(_NONE), 2 * np.log(_HUGE))] * len(first)
         return variances(minimize(cost, first, jac=True, method="L-BFGS-B", bounds=bounds).x)
 
-    def state(self, t: np.ndarray, c: np.ndarray, kept: np.ndarray) -> _State:
-        """Mean of the robots that are kept, every robot beside it, and against the others."""
+    def compared(self, t: np.ndarray, c: np.ndarray, kept: np.ndarray) -> dict[str, np.ndarray]:
+        """Mean of the robots that are kept, every robot beside it and against the others: fields of :class:`Fleet`.
+
+        Intervals are (2, p); what the kept robots do not identify is nan.
+        """
         total, right, back, precisions, known = self.around_mean(t, c)
         precision = precisions[kept].sum(0)
         covariance, determined = scaled_inverse(precision)
         mean = covariance @ known[kept].sum(0)
         own, own_error = self.own(c)
         shrink = t[:, None] * back
-        values = mean + np.einsum("nij,nj->ni", shrink, right - total @ mean)
         # errors of the mean move a robot as far as its own records leave it to the fleet
         left = np.eye(len(t)) - shrink @ total
         spreads = shrink + left @ covariance @ np.swapaxes(left, -1, -2)
-        errors = np.sqrt(np.maximum(np.einsum("nii->ni", spreads), 0.0))
         # of each from the others' mean, in standard deviations of what is expected
         deviation = np.zeros_like(own)
         for k, counts in enumerate(kept):
@@ -351,35 +322,38 @@ class _Levels:
             others = rest @ (precision @ mean - counts * known[k])
             error = np.sqrt(own_error[k] ** 2 + t + np.diag(rest))
             deviation[k] = np.where(certain & np.isfinite(error), (own[k] - others) / error, 0.0)
-        tests = len(own) * max(int(determined.sum()), 1)
-        chance = 2.0 * stdtr(max(int(kept.sum()) - 1, 1), -np.abs(deviation)) * tests
-        mean_error = np.sqrt(np.diag(covariance))
-        return _State(
-            mean, mean_error, determined, own, own_error, values, errors, deviation, chance < LEVEL
-        )  # fmt: skip
+        tests, freedom = len(own) * max(int(determined.sum()), 1), max(int(kept.sum()) - 1, 1)
+        claimed = np.where(determined, 1.0, np.nan)
+        mean_error = claimed * np.sqrt(np.diag(covariance))
+        reach = float(stdtrit(freedom, 0.975)) * mean_error
+        between, within = (claimed * np.sqrt(np.where(v > 10.0 * _NONE**2, v, 0.0)) for v in (t, c))
+        return {
+            "mean": claimed * mean,
+            "mean_error": mean_error,
+            "mean_interval": np.array([mean - reach, mean + reach]),
+            "spread": between,
+            "record_spread": within if self.repeated else np.full(len(c), np.nan),
+            "own": own,
+            "own_error": own_error,
+            "values": mean + np.einsum("nij,nj->ni", shrink, right - total @ mean),
+            "errors": np.sqrt(np.maximum(np.einsum("nii->ni", spreads), 0.0)),
+            "deviation": deviation,
+            "odd": 2.0 * stdtr(freedom, -np.abs(deviation)) * tests < LEVEL,
+        }
 
-    def spread_intervals(self, t: np.ndarray, c: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    def spread_intervals(self, t: np.ndarray, c: np.ndarray) -> np.ndarray:
         """95 % interval of each standard deviation between robots (p, 2): where the likelihood falls, all else held."""
-        some, ends = self.select(kept), np.zeros((len(t), 2))
-        top = some.likelihood(t, c)[0]
+        ends, top = np.zeros((len(t), 2)), self.likelihood(t, c)[0]
         for k, value in enumerate(t):
 
             def above(log: float, k: int = k) -> float:
-                return some.likelihood(np.where(np.arange(len(t)) == k, np.exp(log), t), c)[0] - top + _DROP
+                return self.likelihood(np.where(np.arange(len(t)) == k, np.exp(log), t), c)[0] - top + _DROP
 
-            low, at, high = 2 * np.log(_NONE), np.log(value), 2 * np.log(_HUGE)
-            for side, (end, beyond) in enumerate(((low, 0.0), (high, np.inf))):
-                inside = above(end) > 0.0
-                root = 0.0 if inside else cast(float, brentq(above, *sorted((end, at)), xtol=1e-3))
-                ends[k, side] = beyond if inside else math.exp(0.5 * root)
+            for side, (end, beyond) in enumerate(((2 * np.log(_NONE), 0.0), (2 * np.log(_HUGE), np.inf))):
+                if above(end) > 0.0:
+                    ends[k, side] = beyond
+                else:
+                    ends[k, side] = math.exp(
+                        0.5 * cast(float, brentq(above, *sorted((end, np.log(value))), xtol=1e-3))
+                    )
         return ends
-
-
-def _around_median(own: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances from the median (n, p) and robust standard deviations (p,) of what is known, nan elsewhere."""
-    apart, scatter = np.full(own.shape, np.nan), np.full(own.shape[1], np.nan)
-    for k, known in enumerate(np.isfinite(error).T):
-        if known.any():
-            apart[known, k] = np.abs(own[known, k] - np.median(own[known, k]))
-            scatter[k] = 1.4826 * np.median(apart[known, k])
-    return apart, scatter
