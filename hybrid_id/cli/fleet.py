@@ -63,19 +63,14 @@ def fleet(
     datasets = read_fleet(robots)
     if (home / RESULT).exists():
         earlier = set(read_object(home / RESULT, "fleet").get("robots", ()))
-        if earlier.isdisjoint(one.name for one in datasets):
+        if earlier.isdisjoint(robot.name for robot in datasets):
             raise InputError(f"{home} holds a fleet of other robots; give another folder")
     check_window(wish, datasets[0].train)
-    remark_validation(sum(len(one.validation) for one in datasets), "fleet")
-    from hybrid_id.reporting.fleet import (
-        fleet_page,
-        fleet_pictures,
-        fleet_result,
-        write_robots,
-    )
+    remark_validation(sum(len(robot.validation) for robot in datasets), "fleet")
+    from hybrid_id.reporting.fleet import fleet_page, fleet_result, robots_figure, write_robots
     from hybrid_id.reporting.page import how_made
     from hybrid_id.reporting.results import as_json as to_json
-    from hybrid_id.reporting.style import save
+    from hybrid_id.reporting.style import pixels, save
     from hybrid_id.study.fleet import identify_fleet
     from hybrid_id.systems.model_file import save_model
 
@@ -87,10 +82,9 @@ def fleet(
             )  # fmt: skip
         text = to_json("fleet", fleet_result(study))
         with added_results(home, RESULT, ["robots.png", "report.html", "robots.csv", "model.yaml"]) as folder:
-            pictures = fleet_pictures(study)
-            for name, figure in pictures.items():
-                save(figure, folder / f"{name}.png")
-            page = how_made(fleet_page(study, pictures), "fleet", settings={"robots": robots, "model": model})
+            picture = pixels(robots_figure(study))
+            save(picture, folder / "robots.png")
+            page = how_made(fleet_page(study, picture), "fleet", settings={"robots": robots, "model": model})
             page.write(folder / "report.html")
             write_robots(folder / "robots.csv", study)
             save_model(study.fleet_model(), folder / "model.yaml")
@@ -98,7 +92,7 @@ def fleet(
     if as_json:
         show(text)
     else:
-        show(fleet_page(study, {}).screen())
+        show(fleet_page(study).screen())
         show(f"results are in {home}: report.html, {RESULT}, robots.csv, model.yaml, robots.png, {ROBOTS}")
     if study.failed:
         raise typer.Exit(1)

@@ -24,7 +24,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
-from hybrid_id.identification.keep import fingerprint, read_checkpoint, write_checkpoint
+from hybrid_id.identification.keep import digest_of, read_checkpoint, write_checkpoint
 from hybrid_id.identification.least_squares import Options, Outcome, free_parameters
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.optimizers import GaussNewtonState, advance, begin, prolonged
@@ -146,7 +146,7 @@ def train(
     bounds = make_bounds(system, free, device)
     base = system.theta().detach().to(device)[:, None].repeat(1, count)
     whole = Problem(system, engine, batch, sets, free, bounds, base, extra, options.loss)
-    identity = ["adjoint", fingerprint(system, [batch], pooled, engine, options.windows, options.loss)]
+    identity = ["adjoint", digest_of((system, batch, pooled, engine, options.windows, options.loss))]
     state = None
     if resume is not None:
         state = read_checkpoint(resume, identity, lambda content: GaussNewtonState(**content), device)

@@ -25,7 +25,7 @@ from hybrid_id.identification.adjoint import Snapshot, Writer
 from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
-from hybrid_id.identification.keep import fingerprint, read_checkpoint, write_checkpoint
+from hybrid_id.identification.keep import digest_of, read_checkpoint, write_checkpoint
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.networks import output_shares, with_memory, with_price, with_scales
 from hybrid_id.identification.objective import Loss
@@ -218,7 +218,7 @@ def train_hybrid(
     settings = (engine, options.optimizer, options.windows, options.price, options.loss, options.worth)
     settings += (options.starts, options.seed)
     settings += (options.rate, options.clip) if options.optimizer == "adam" else ()
-    identity = ["hybrid", fingerprint(system, [batch, validation], *settings)]
+    identity = ["hybrid", digest_of((system, batch, validation, settings))]
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
     system = with_scales(system.with_values(values), batch, engine.width)

@@ -22,7 +22,6 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.files import write_whole
 from hybrid_id.robots.tree import RigidBodyTree
-from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -210,29 +209,13 @@ def digest_of_tree(tree: RigidBodyTree) -> str:
     return digest_of((tree.joints, tree.bodies, tree.gravity, tree.couplings, held_up))
 
 
-def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> str:
-    """What the numbers of a training depend on, as one hash: model, start values, networks, records, settings."""
-    components, tree = cast("dict[str, Component]", dict(system.components.items())), system.tree
-    parts = [(key, part.kind, sorted(part.options().items())) for key, part in components.items()]
-    known = hashlib.sha256(repr((system.name, system.gear_ratio, parts, settings)).encode())
-    for info in system.table:
-        known.update(repr((info.name, info.spec)).encode())
-    if tree is not None:
-        known.update(digest_of((digest_of_tree(tree), tree.points, tree.held)).encode())
-    for batch in batches:
-        known.update(repr((batch.names, batch.outputs)).encode())
-        for channel in (batch.dt, batch.y, batch.weight, *batch.u.values()):
-            known.update(channel.detach().cpu().contiguous().numpy().tobytes())
-    return known.hexdigest()
-
-
 def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]) -> None:
     """Write a checkpoint of tensors, numbers and text, under a temporary name first.
 
     Args:
         path: the file.
         content: where the training stands.
-        identity: kind and fingerprint of the training.
+        identity: kind of the training, and digest of all that decides its numbers.
     """
     temporary = path.with_name(path.name + ".tmp")
     program = f"hybrid_id {__version__}"

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.results import write_rows
-from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure, pixels, unit
+from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure, unit
 from hybrid_id.reporting.tables import count, interval_words, table
 from hybrid_id.study.fleet import FleetStudy
 
@@ -143,17 +143,6 @@ def fleet_table(study: FleetStudy) -> Table:
     return table(heads, rows)
 
 
-def odd_table(study: FleetStudy) -> Table:
-    """Robots that stand out, and why."""
-    rows = [
-        (robot.name, reason)
-        for i, robot in enumerate(study.robots)
-        if study.fleet.stands_out[i]
-        for reason in why(study, i)
-    ]
-    return table(("robot", "why it stands out"), rows)
-
-
 def write_robots(path: Path, study: FleetStudy) -> None:
     """One row a robot and parameter: by its own records, with what the fleet knows, and its deviation."""
     of = study.fleet
@@ -168,17 +157,17 @@ def write_robots(path: Path, study: FleetStudy) -> None:
     write_rows(path, CSV_HEADS, rows)
 
 
-def fleet_page(study: FleetStudy, pictures: dict[str, np.ndarray]) -> Page:
-    """The whole result as one page."""
+def fleet_page(study: FleetStudy, picture: np.ndarray | None = None) -> Page:
+    """The whole result as one page, with the picture of the robots."""
     first, *others = verdict(study)
     page = Page("Fleet", first)
     section = page.section("Who stands out").add(*others)
     if study.fleet.stands_out.any():
-        section.add(odd_table(study))
+        reasons = [(robot.name, said) for i, robot in enumerate(study.robots) for said in why(study, i)]
+        section.add(table(("robot", "why it stands out"), reasons))
     page.section("Mean and spread").add(fleet_table(study)).note(_HOW)
-    robots = page.section("Robots")
-    for picture in pictures.values():
-        robots.figure(
+    if picture is not None:
+        page.section("Robots").figure(
             picture,
             "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
             "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
@@ -186,11 +175,6 @@ def fleet_page(study: FleetStudy, pictures: dict[str, np.ndarray]) -> Page:
     if study.failed:
         page.section("Robots without an estimate").add(table(("robot", "reason"), list(study.failed.items())))
     return page
-
-
-def fleet_pictures(study: FleetStudy) -> dict[str, np.ndarray]:
-    """Figures by the name of their file."""
-    return {"robots": pixels(robots_figure(study))}
 
 
 @journal()

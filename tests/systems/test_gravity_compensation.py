@@ -13,7 +13,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.own_file import mujoco_model
 from hybrid_id.export.replay import agreement
-from hybrid_id.identification.keep import digest_of_tree, fingerprint
+from hybrid_id.identification.keep import digest_of, digest_of_tree
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -145,7 +145,5 @@ def test_a_joint_by_itself_is_held_up_as_in_the_robot(tmp_path: Path) -> None:
 def test_what_is_kept_of_another_share_is_not_taken(tmp_path: Path) -> None:
     trees = [described(tmp_path, text).tree for text in (LYING, HELD_UP, HELD_UP.replace("0.6", "0.7"))]
     assert len({digest_of_tree(tree) for tree in trees if tree is not None}) == 3
-    batches = [
-        fingerprint(described(tmp_path, text), []) for text in (HELD_UP, HELD_UP.replace("0.6", "0.7"))
-    ]
-    assert batches[0] != batches[1]
+    systems = [digest_of(described(tmp_path, text)) for text in (HELD_UP, HELD_UP.replace("0.6", "0.7"))]
+    assert systems[0] != systems[1]
