@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -65,13 +65,32 @@ class FleetStudy:
         system: the model that all started from.
         robots: with estimates, in their order.
         failed: why others have none, by name.
-        fleet: mean, spread, and who stands out.
     """
 
     system: System
     robots: tuple[RobotFit, ...]
     failed: Mapping[str, str]
-    fleet: Fleet
+
+    @cached_property
+    def fleet(self) -> Fleet:
+        """Mean, spread, and who stands out.
+
+        Raises:
+            InputError: fewer than three robots have estimates.
+        """
+        if self.failed and len(self.robots) < FEWEST:
+            count, reason = len(self.failed), next(iter(self.failed.values()))
+            raise InputError(f"{count} of {len(self.robots) + count} robots have no estimate ({reason})")
+        specs = [self.system.table[k].spec for k in self.system.estimated]
+        return fleet(
+            *(
+                [np.array(getattr(r, key)) for r in self.robots]
+                for key in ("values", "hessians", "covariances")
+            ),
+            prior_precision=np.array([0.0 if s.prior_std is None else s.prior_std**-2 for s in specs]),
+            misfit=np.array([robot.misfit for robot in self.robots]),
+            prior_mean=np.array([0.0 if s.prior_mean is None else s.prior_mean for s in specs]),
+        )
 
     @property
     def names(self) -> list[str]:
@@ -152,7 +171,7 @@ def identify_fleet(
         how: ``jobs``, ``scheduler`` and ``done`` of :func:`hybrid_id.study.many.each_kept`.
 
     Raises:
-        InputError: fewer than three have estimates, or no cluster answers.
+        InputError: no cluster answers.
     """
     fits: dict[str, RobotFit] = {}
     failed: dict[str, str] = {}
@@ -174,30 +193,4 @@ def identify_fleet(
         if first.name in fits:
             horizon = Horizon(*fits[first.name].horizon)
     fit(left)
-    return gather(system, [fits[robot.name] for robot in robots if robot.name in fits], failed)
-
-
-def gather(
-    system: System, robots: Sequence[RobotFit], failed: Mapping[str, str] = MappingProxyType({})
-) -> FleetStudy:
-    """The fleet of robots that have been fitted.
-
-    Args:
-        system: the model that all started from.
-        robots: with estimates.
-        failed: why others have none, by name.
-
-    Raises:
-        InputError: fewer than three have estimates.
-    """
-    if failed and len(robots) < FEWEST:
-        reason = next(iter(failed.values()))
-        raise InputError(f"{len(failed)} of {len(robots) + len(failed)} robots have no estimate ({reason})")
-    specs = [system.table[k].spec for k in system.estimated]
-    summary = fleet(
-        *([np.array(getattr(r, key)) for r in robots] for key in ("values", "hessians", "covariances")),
-        prior_precision=np.array([0.0 if spec.prior_std is None else spec.prior_std**-2 for spec in specs]),
-        misfit=np.array([robot.misfit for robot in robots]),
-        prior_mean=np.array([0.0 if spec.prior_mean is None else spec.prior_mean for spec in specs]),
-    )
-    return FleetStudy(system, tuple(robots), failed, summary)
+    return FleetStudy(system, tuple(fits[robot.name] for robot in robots if robot.name in fits), failed)

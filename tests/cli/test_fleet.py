@@ -14,7 +14,7 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id import one_link
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study import fleet as fleets
-from hybrid_id.study.fleet import RobotFit, gather
+from hybrid_id.study.fleet import FleetStudy, RobotFit
 from hybrid_id.systems.model_file import load_model, save_model
 
 HEAVY = "robot_4"
@@ -83,7 +83,7 @@ def test_a_parameter_that_is_zero_in_all_robots_is_expected_to_be_small() -> Non
     )
     values = [at[name] for name in names]
     robots = [RobotFit(f"r{k}", ["a"], [values], [hessian], [errors], 1.0) for k in range(3)]
-    expected = gather(system, robots).fleet_model()
+    expected = FleetStudy(system, tuple(robots), {}).fleet_model()
     assert expected.parameter("P_m1").spec.value == at["P_m1"]
     assert expected.parameter("P_m1").spec.prior_std == 1e-5
     friction = expected.parameter("F_v").spec
