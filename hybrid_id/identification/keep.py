@@ -27,6 +27,8 @@ from hybrid_id.systems.chain import System
 
 Arrays = dict[str, np.ndarray]
 Found = TypeVar("Found")
+WHOLE = ("values", "x0", "prior_precision")
+"""Fields of a fit that are one array each."""
 Report = Callable[..., bool | None]
 """What a fit calls after each iteration (:func:`hybrid_id.identification.fit.fit`): where it is true, the fit ends."""
 
@@ -121,38 +123,28 @@ class Kept:
 
 def pack_result(result: FitResult) -> Arrays:
     """A fit as arrays, but for what its system has beside the estimated values."""
+    rows = ("jacobian", "residual")
     about = {
-        "names": result.names, "units": result.units, "status": result.status, "records": result.records,
-        "cost": result.cost, "n_samples": result.n_samples, "iterations": result.iterations,
-        "engine": asdict(result.engine), "history": result.history, "rows": len(result.residual),
-    }  # fmt: skip
-    arrays = {"about": np.array(json.dumps(about)), "values": result.values, "x0": result.x0}
-    arrays["prior_precision"] = result.prior_precision
-    for k, (jacobian, residual) in enumerate(zip(result.jacobian, result.residual, strict=True)):
-        arrays |= {f"jacobian_{k}": jacobian, f"residual_{k}": residual}
+        f.name: getattr(result, f.name) for f in fields(result) if f.name not in ("system", *WHOLE, *rows)
+    }
+    about |= {"engine": asdict(result.engine), "rows": len(result.residual)}
+    arrays = {name: getattr(result, name) for name in WHOLE} | {"about": np.array(json.dumps(about))}
+    for name in rows:
+        arrays |= {f"{name}_{k}": row for k, row in enumerate(getattr(result, name))}
     return arrays
 
 
 def unpack_result(arrays: Mapping[str, np.ndarray], start: System) -> FitResult:
     """The fit again, of the system that it started from."""
-    about = json.loads(str(arrays["about"]))
-    names, values = tuple(about["names"]), arrays["values"]
+    read = json.loads(str(arrays["about"]))
+    about: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in read.items()}
+    values, rows = dict(zip(about["names"], arrays["values"].tolist(), strict=True)), range(about.pop("rows"))
+    about |= {"engine": Engine(**about["engine"])} | {name: arrays[name] for name in WHOLE}
     return FitResult(
-        system=start.with_values(dict(zip(names, values.tolist(), strict=True))),
-        names=names,
-        values=values,
-        units=tuple(about["units"]),
-        status=about["status"],
-        records=tuple(about["records"]),
-        cost=about["cost"],
-        n_samples=about["n_samples"],
-        iterations=about["iterations"],
-        jacobian=tuple(arrays[f"jacobian_{k}"] for k in range(about["rows"])),
-        residual=tuple(arrays[f"residual_{k}"] for k in range(about["rows"])),
-        prior_precision=arrays["prior_precision"],
-        x0=arrays["x0"],
-        engine=Engine(**about["engine"]),
-        history=tuple(about["history"]),
+        **about,
+        system=start.with_values(values),
+        jacobian=tuple(arrays[f"jacobian_{k}"] for k in rows),
+        residual=tuple(arrays[f"residual_{k}"] for k in rows),
     )
 
 
