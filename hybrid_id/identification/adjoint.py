@@ -27,7 +27,7 @@ from hybrid_id.identification.fit import Progress, make_bounds
 from hybrid_id.identification.keep import digest_of, read_checkpoint, write_checkpoint
 from hybrid_id.identification.least_squares import Options, Outcome, free_parameters
 from hybrid_id.identification.objective import Loss, evaluate
-from hybrid_id.identification.optimizers import GaussNewtonState, advance, begin, prolonged
+from hybrid_id.identification.optimizers import GaussNewtonState, OptimizerState, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.simulation.batch import Batch
@@ -80,7 +80,25 @@ class Snapshot:
     batch: Batch
     sets: Tensor
     simulated: Tensor
-    scalars: Mapping[str, float] = field(default_factory=dict)
+    scalars: Mapping[str, float]
+
+    @classmethod
+    def of(
+        cls,
+        step: int,
+        names: tuple[str, ...],
+        problem: Problem,
+        state: OptimizerState,
+        validation: Tensor | None,
+        scalars: Mapping[str, float],
+    ) -> Snapshot:
+        """What is told of a state; outputs beyond the problem's batch (prices of networks) are left out."""
+        info, batch = [problem.system.table[i] for i in problem.free], problem.batch
+        table, values = tuple((i.component, i.symbol) for i in info), problem.theta(state.q)[problem.free].T
+        simulated, train = state.y[..., : len(batch.outputs)], state.cost / problem.data
+        return cls(
+            step, names, table, values, train, validation, state.distance, batch, problem.sets, simulated, scalars
+        )  # fmt: skip
 
     @property
     def parameter_tags(self) -> list[str]:
@@ -169,25 +187,12 @@ def train(
             while not interrupted:
                 if writer is not None and state.iteration > logged:
                     problem.set_weights(state.q)
-                    theta, info = problem.theta(state.q), [system.table[i] for i in free]
                     looked = None
                     if validation is not None and state.iteration % options.validate_every == 0:
                         exact = _exact(engine, state)
+                        theta = problem.theta(state.q)
                         looked = validation_loss(replace(problem, engine=exact), theta, validation)
-                    writer.record(
-                        Snapshot(
-                            step=state.iteration,
-                            names=names,
-                            table=tuple((i.component, i.symbol) for i in info),
-                            values=theta[free].T,
-                            train=state.cost / problem.data,
-                            validation=looked,
-                            gradient_norm=state.distance,
-                            batch=problem.batch,
-                            sets=problem.sets,
-                            simulated=state.y,
-                        )
-                    )
+                    writer.record(Snapshot.of(state.iteration, names, problem, state, looked, {}))
                     logged = state.iteration
                 going = state.running.nonzero().flatten()
                 if progress is not None:

@@ -309,24 +309,11 @@ def _descend(
                 training.best, training.waited = (found, 0) if gain else (best, training.waited + 1)
                 looked = torch.tensor([typical(found)])
             if writer is not None:
-                info = [system.table[i] for i in problem.free]
                 shares = output_shares(system, problem.batch, state.nodes, theta)
-                writer.record(
-                    Snapshot(
-                        step=training.done + state.iteration,
-                        names=("hybrid",),
-                        table=tuple((i.component, i.symbol) for i in info),
-                        values=theta[problem.free].T,
-                        train=state.cost / data,
-                        validation=looked,
-                        gradient_norm=state.distance,
-                        batch=batch,
-                        sets=sets,
-                        simulated=state.y[..., : len(batch.outputs)],
-                        scalars={f"residual/share_{name}": share for name, share in shares.items()}
-                        | {"residual/price": options.price},
-                    )
-                )
+                told = {f"residual/share_{name}": share for name, share in shares.items()}
+                told["residual/price"] = options.price
+                measured, step = replace(problem, batch=batch), training.done + state.iteration
+                writer.record(Snapshot.of(step, ("hybrid",), measured, state, looked, told))
             if progress is not None and progress(
                 label, training.done + state.iteration, float(state.cost[0] / data)
             ):
