@@ -29,7 +29,7 @@ from hybrid_id.identification.finite_differences import (
     slopes_at,
 )
 from hybrid_id.identification.fit import fit, kept_fit, make_bounds
-from hybrid_id.identification.horizons import WHOLE, Horizon, astray, settled, windows
+from hybrid_id.identification.horizons import WHOLE, Horizon, astray, settled
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
@@ -494,7 +494,7 @@ def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bo
     ends = _both_ways(how, task.system, batch, iterations, task.cost, task.x0)
     if halting and iterations == FULL and min(autocorrelation(end.residual) for end in ends) > CRITERIA.white:
         with suppress(*FAILURES):
-            near = _within(how, task.system, windows(task.system, how, batch, WINDOW), FINER)
+            near = _within(how, task.system, Horizon("windows", WINDOW).cut(task.system, how, batch), FINER)
             ends += _both_ways(how, near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
 

@@ -148,7 +148,13 @@ class Horizon:
             batch: whole records, prepared for it.
         """
         if self.kind == "windows":
-            return windows(system, engine, batch, self.seconds)
+            if window_samples(batch.x.shape[1], batch.sample_time, self.seconds, least=1) is None:
+                return batch  # none of the records holds one
+            batch, hidden = _simulated_hidden(system, engine, batch)
+            short = measured_windows(system, batch, self.seconds, least=1)
+            assert short is not None
+            short[0].x0_std[:, hidden] = 0.0
+            return short[0]
         if self.kind == "whole":
             return batch
         cuts = [_stroke_starts(system, batch, row) for row in range(batch.rows)]
@@ -172,25 +178,6 @@ def shortest(horizons: Sequence[Horizon]) -> Horizon:
     """The shortest of several horizons: windows before strokes before whole records."""
     order = ("windows", "strokes", "whole")
     return min(horizons, key=lambda one: (order.index(one.kind), one.seconds))
-
-
-def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Batch:
-    """Windows of whole records, see :meth:`Horizon.cut`; records of which none holds one window stay whole.
-
-    Args:
-        system: model with the values that its hidden states are simulated with.
-        engine: how.
-        batch: whole records, prepared for it.
-        seconds: length of a window.
-    """
-    if window_samples(batch.x.shape[1], batch.sample_time, seconds, least=1) is None:
-        return batch
-    batch, hidden = _simulated_hidden(system, engine, batch)
-    cut = measured_windows(system, batch, seconds, least=1)
-    if cut is None:
-        return batch
-    cut[0].x0_std[:, hidden] = 0.0
-    return cut[0]
 
 
 def _stroke_starts(system: System, batch: Batch, row: int) -> list[int]:
@@ -287,7 +274,7 @@ def window_errors(system: System, engine: Engine, batch: Batch, seconds: float) 
         batch: whole records, prepared for it.
         seconds: length of a window.
     """
-    short = windows(system, engine, batch, seconds)
+    short = Horizon("windows", seconds).cut(system, engine, batch)
     if short.rows == batch.rows:
         return []
     run = free_runs(system, with_substeps(system, engine, short), short)

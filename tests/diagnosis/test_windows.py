@@ -9,7 +9,7 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis import starts
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.fits import Fits, engine
-from hybrid_id.identification.horizons import windows
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replay import batch_of
@@ -19,7 +19,7 @@ def cut(place: str, kind: str, **values: float):
     dataset, nominal = small_case()
     system = nominal.with_component(place, REGISTRY[kind](**values))
     batch = batch_of(dataset, system, dataset.train)
-    return system, batch, windows(system, engine(), batch, 0.25)
+    return system, batch, Horizon("windows", 0.25).cut(system, engine(), batch)
 
 
 def test_measured_states_begin_as_measured_and_may_move() -> None:
@@ -54,8 +54,8 @@ def test_records_that_hold_no_window_stay_whole() -> None:
     dataset, nominal = small_case()
     batch = batch_of(dataset, nominal, dataset.train)
     longest = batch.sample_time * batch.x.shape[1]
-    assert windows(nominal, engine(), batch, 1.1 * longest) is batch
-    assert windows(nominal, engine(), batch, 0.4 * longest).rows == 2 * batch.rows
+    assert Horizon("windows", 1.1 * longest).cut(nominal, engine(), batch) is batch
+    assert Horizon("windows", 0.4 * longest).cut(nominal, engine(), batch).rows == 2 * batch.rows
 
 
 def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(

@@ -17,7 +17,6 @@ from hybrid_id.identification.horizons import (
     Horizon,
     choose_horizon,
     free_runs,
-    windows,
 )
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -168,7 +167,7 @@ def test_no_window_errs_more_than_from_its_measured_state(sound: list[Record]) -
     """Where a joint sticks, a step of its first state says nothing of what happens beyond."""
     stuck = TRUTH.with_values({"F_c": 6.0 * TRUTH.parameter("F_c").spec.value})
     batch = make_batch(stuck, sound, noise_std={"q_m1": 1e-5}, signal_share=0.0)
-    pieces = windows(stuck, ENGINE, batch, 0.25)
+    pieces = Horizon("windows", 0.25).cut(stuck, ENGINE, batch)
 
     def errors(run: Simulation) -> Tensor:
         return ((run.y - pieces.y) * pieces.weight).square().sum((1, 2))
