@@ -195,31 +195,6 @@ class ResidualNetwork(Component):
         found |= {"seed": self.seed, "shift": self.shift.tolist(), "scale": self.scale.tolist()}
         return found | {"output_scale": self.output_scale.item()}
 
-    def load_weights(self, weights: Mapping[str, Any]) -> None:
-        """Take weights by name, as nested lists.
-
-        Raises:
-            InputError: a name or a shape that is not this network's, or a number that is not finite.
-        """
-        own = self.weights()
-        if set(weights) != set(own):
-            raise InputError(
-                f"{self.kind} has the weights {', '.join(own)}, but {', '.join(weights) or 'none'} are given; "
-                "give all of them, or none for a fresh network."
-            )
-        for name, target in own.items():
-            try:
-                value = torch.tensor(weights[name], dtype=target.dtype)
-            except (TypeError, ValueError):
-                value = target.new_empty(0)
-            if value.shape != target.shape or not bool(torch.isfinite(value).all()):
-                shape = " x ".join(map(str, target.shape))
-                raise InputError(
-                    f"{self.kind}: weights {name} must hold {shape} finite numbers; correct them."
-                )
-            with torch.no_grad():
-                target.copy_(value)
-
     @classmethod
     def restored(
         cls, values: Mapping[str, Bounded], options: Mapping[str, Any], weights: Mapping[str, Any]
@@ -234,8 +209,24 @@ class ResidualNetwork(Component):
             raise InputError(
                 f"{cls.kind} has an option of the wrong type; compare with a saved model."
             ) from None
-        if weights:
-            part.load_weights(weights)
+        own = part.weights() if weights else {}
+        if set(weights) != set(own):
+            raise InputError(
+                f"{cls.kind} has the weights {', '.join(own)}, but {', '.join(weights)} are given; "
+                "give all of them, or none for a fresh network."
+            )
+        for name, target in own.items():
+            try:
+                value = torch.tensor(weights[name], dtype=target.dtype)
+            except (TypeError, ValueError):
+                value = target.new_empty(0)
+            if value.shape != target.shape or not bool(torch.isfinite(value).all()):
+                shape = " x ".join(map(str, target.shape))
+                raise InputError(
+                    f"{cls.kind}: weights {name} must hold {shape} finite numbers; correct them."
+                )
+            with torch.no_grad():
+                target.copy_(value)
         return part
 
 
