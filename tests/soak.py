@@ -106,7 +106,7 @@ def ablation(folder: Path) -> Job:
 def blind(folder: Path) -> Job:
     """Cases answered by a baseline; the result is every answer, the time that it took apart."""
     cases, sealed = folder / "cases", folder / "elsewhere" / "answers.tar"
-    options = {"system": "one_link", "engine": "in_house", "level": "strong"}
+    options = {"system": "one_link", "level": "strong"}
     make_sealed(cases, sealed, CASES, 3, options, 1)
 
     def result(out: Path) -> Any:

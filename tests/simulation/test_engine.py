@@ -9,6 +9,7 @@ from paper.twins import rigid
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre, Stribeck
 from hybrid_id.errors import InputError
+from hybrid_id.machines.effects.friction import StribeckGaussian
 from hybrid_id.machines.physics import friction
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link_flexible
@@ -100,7 +101,7 @@ def test_agrees_with_an_independent_event_exact_integrator(law: str) -> None:
     if law != "asymmetric":
         drop = 0.006 if law == "stribeck" else 0.0
         system = system.with_component(FRICTION, Stribeck(F_drop=drop, v_s=15.0, p=2.0))
-        dry = [friction.Coulomb(0.01), friction.Stribeck(drop, 15.0)]
+        dry = [friction.Coulomb(0.01), StribeckGaussian(1, {"drop": drop, "v_s": 15.0})]
     G_l = 0.0 if law == "asymmetric" else 2.0
     twin = rigid(*dry, J=2e-5, P_m1=0.019, P_m2=0.0254, f_3=5e-5, G_l=G_l, r=156.0)
     k = np.arange(200)
