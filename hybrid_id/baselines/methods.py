@@ -23,10 +23,7 @@ from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.units import stem
-from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.by_joint import (
-    as_in_robot,
     joint_parts,
     joints_to_diagnose,
     named,
@@ -171,42 +168,16 @@ def _effect(name: str, where: str, probability: float, *, selected: bool) -> dic
 
 
 def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
-    """Content of ``diagnosis.json``, with all that the proposed experiment is made of; of a robot joint by joint.
-
-    A robot's ``next_experiments`` are those of each joint with a tie that matters.
+    """Content of ``diagnosis.json``; of a robot joint by joint, and ``unknown_location`` with it.
 
     Raises:
         KeyboardInterrupt: stopped before its end: half a search is no answer to a case.
     """
-    if system.tree is None:
-        drive = diagnose(dataset, system)
-        if drive.interrupted:
-            raise KeyboardInterrupt
-        return drive.as_dict() | {"next_experiments": proposed(drive)}
-    arm = diagnose_arm(dataset, system)
-    if arm.interrupted:
+    found = diagnose(dataset, system) if system.tree is None else diagnose_arm(dataset, system)
+    if found.interrupted:
         raise KeyboardInterrupt
-    acting = [joint for joint, one in arm.joints.items() if one.unknown]
-    where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
-    return arm.as_dict() | {
-        "unknown_location": where and {"joint": where, "side": None},
-        "next_experiments": [entry for joint in arm.tied for entry in proposed(arm.joints[joint])],
-    }
-
-
-def proposed(found: Diagnosis) -> list[dict[str, Any]]:
-    """The proposed records with all that they are made of; none where they distinguish nothing.
-
-    Beside each entry of ``diagnosis.json``: ``sample_time``, the ``command``, the robot's other angles ``held`` and
-    the outputs at its ``start``, by channel.
-    """
-    entries: list[dict[str, Any]] = found.as_dict()["next_experiments"]
-    for entry, experiment in zip(entries, found.proposed, strict=True):
-        given = as_in_robot(experiment.inputs, found.model)
-        entry |= {
-            "sample_time": float(experiment.time[1] - experiment.time[0]),
-            "command": [round(float(u), 4) for u in experiment.command],
-            "held": {n: float(v[0]) for n, v in given.items() if stem(n) == MOTION[0]},
-            "start": dict(experiment.start),
-        }
-    return entries
+    if isinstance(found, Diagnosis):
+        return found.as_dict()
+    acting = found.joints_with_unknown
+    where = max(acting, key=lambda joint: found.parts[joint], default=None)
+    return found.as_dict() | {"unknown_location": where and {"joint": where, "side": None}}
