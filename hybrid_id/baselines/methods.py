@@ -8,7 +8,7 @@ does by hand: nothing is left out for validation, no pair is tried, and nothing 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,9 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.errors_on_test import errors, shrink
 from hybrid_id.diagnosis.fits import Fits, Task, engine
+from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
@@ -57,7 +58,7 @@ def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
         worst = tried[0][0].system
         places = [named(worst, f"{worst.joints[0].name}/motor_friction")]
     effects = [
-        _effect(STRIBECK, where, float(k == 0), selected=k == 0)
+        RatedEffect(STRIBECK, where, float(k == 0), k == 0, (), {})
         for k, where in enumerate(dict.fromkeys(places))
     ]
     before = joined(system, [base.system for base, _ in tried])
@@ -83,7 +84,9 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     weights = weights / weights.sum()
     found = bool(ranked) and ranked[0][0] < 0.0
     effects = [
-        _effect(fit.effects[0][0], named(fit.system, fit.effects[0][1]), weight, selected=found and k == 0)
+        RatedEffect(
+            fit.effects[0][0], named(fit.system, fit.effects[0][1]), float(weight), found and k == 0, (), {}
+        )
         for k, ((_, fit), weight) in enumerate(zip(ranked, weights[1:], strict=True))
     ]
     first = joined(system, before)
@@ -131,7 +134,7 @@ def joined(whole: System, models: Sequence[System]) -> System:
 
 
 def answer(
-    dataset: Dataset, effects: Sequence[Mapping[str, Any]], nominal: System, before: System, after: System
+    dataset: Dataset, effects: Sequence[RatedEffect], nominal: System, before: System, after: System
 ) -> dict[str, Any]:
     """The answer of a baseline, in the form of ``diagnosis.json``, with errors on the test records if there are any.
 
@@ -142,28 +145,15 @@ def answer(
         before: its re-fit.
         after: the corrected one, fitted.
     """
-    gap: dict[str, Any] = {}
     given, first, last = (errors(dataset, model, engine()) for model in (nominal, before, after))
-    if given is not None and first is not None and last is not None:
-        closed = shrink(first, last, min(last.noise, last.nrmse))
-        gap = {
-            "nominal": given.nrmse, "refit": first.nrmse, "with_effect": last.nrmse, "noise_floor": closed.floor,
-            "shrink": closed.share, "shrink_interval": list(closed.interval),
-        }  # fmt: skip
-    wrong_values = bool(gap) and gap["nominal"] >= CRITERIA.wrong_values * gap["refit"]
+    closed = first and last and shrink(first, last, min(last.noise, last.nrmse))
+    wrong_values = bool(given and first and given.nrmse >= CRITERIA.wrong_values * first.nrmse)
     silent = "parameters_only" if wrong_values else "no_gap"
-    verdict = "effects" if any(effect["selected"] for effect in effects) else silent
+    verdict = "effects" if any(one.selected for one in effects) else silent
     return {
         "case": dataset.name, "verdict": verdict, "unknown": False, "no_gap": verdict == silent,
-        "effects": list(effects), "ties": [], "gap": gap,
-    }  # fmt: skip
-
-
-def _effect(name: str, where: str, probability: float, *, selected: bool) -> dict[str, Any]:
-    """One effect of the ranking."""
-    return {
-        "name": name, "where": where, "probability": round(float(probability), 4), "tied_with": [],
-        "parameters": {}, "selected": selected,
+        "effects": [effect_entry(one) for one in effects], "ties": [],
+        "gap": gap_entry(given, first, last, closed, ""),
     }  # fmt: skip
 
 

@@ -29,11 +29,6 @@ blind = typer.Typer(
 )
 
 
-@blind.callback()
-def _blind() -> None:
-    """Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."""
-
-
 class Method(StrEnum):
     """Who diagnoses the cases."""
 

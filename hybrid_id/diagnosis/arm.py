@@ -30,10 +30,17 @@ from hybrid_id.diagnosis.plausibility import within_reach
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.whole_robot import WholeRobot, acts_on_all, brought_to, common_horizon, parts_of_gap
+from hybrid_id.diagnosis.whole_robot import (
+    UNFITTED,
+    WholeRobot,
+    acts_on_all,
+    brought_to,
+    common_horizon,
+    parts_of_gap,
+)
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
-from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
@@ -476,10 +483,28 @@ def _of_whole_robot(
     moving, now = with_standing_held(dataset, nominal)  # what stands still goes with the records
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
+    given = [record for record in moving.records if record.role != "test"]
+
+    def coupled(system: System) -> tuple[System, FitResult | None]:
+        # fitted with all joints simulated: one by itself takes the motion of the others with its noise, the whole
+        # robot does not. As it was, and without a fit, where that errs no less
+        with suppress(*UNFITTED):
+            batch = horizon.cut(system, engine(), batch_of(moving, system, given))
+            options = Options(max_iterations=COUPLED)
+            fit = kept_fit(
+                robot.kept, system, batch, pooled=True, engine=engine(), options=options, warm=False
+            )[0]
+            before, after = (
+                errors(moving, one, engine(), given, horizon=horizon) for one in (system, fit.system)
+            )
+            if before is not None and after is not None and after.over_noise < before.over_noise:
+                return fit.system, fit
+        return system, None
+
     whole, lacking = None, bool(gears) or any(one.search.chosen.effects for one in found.values())
     if not stopped:  # who stops waits for no more fits
-        refit, whole = fitted_coupled(moving, refit, horizon, robot.kept)
-        model, whole = fitted_coupled(moving, model, horizon, robot.kept) if lacking else (refit, whole)
+        refit, whole = coupled(refit)
+        model, whole = coupled(model) if lacking else (refit, whole)
     gap, contradiction = None, ""
     nominal_errors, before, after = (
         errors(moving, one, engine(), horizon=horizon) for one in (now, refit, model)
@@ -501,36 +526,6 @@ def _of_whole_robot(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews), gears,
     )  # fmt: skip
-
-
-def fitted_coupled(
-    dataset: Dataset,
-    system: System,
-    horizon: Horizon = WHOLE,
-    kept: Kept | None = None,
-) -> tuple[System, FitResult | None]:
-    """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
-
-    One joint by itself takes the motion of the others with its noise; the whole robot does not.
-
-    Args:
-        dataset: of the whole robot.
-        system: the robot, from whose values the fit starts.
-        horizon: how long its free runs are.
-        kept: fits that an earlier run has kept, and where this one is kept.
-
-    Returns:
-        The robot, and its fit where that was taken.
-    """
-    records = [record for record in dataset.records if record.role != "test"]
-    with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
-        batch = horizon.cut(system, engine(), batch_of(dataset, system, records, "cpu"))
-        options = Options(max_iterations=COUPLED)
-        again = kept_fit(kept, system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
-        both = [errors(dataset, s, engine(), records, horizon=horizon) for s in (system, again.system)]
-        if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
-            return again.system, again
-    return system, None
 
 
 def common_sizes(

@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import norm, t
@@ -114,17 +113,6 @@ class Tally:
 
     tried: int = 0
     failed: Counter[Unfitted] = field(default_factory=Counter)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a file, the most frequent failure first."""
-        return {
-            "tried": self.tried,
-            "failed": self.failed.total(),
-            "reasons": [
-                {"effects": [list(name) for name in one.effects], "reason": one.reason, "count": count}
-                for one, count in self.failed.most_common()
-            ],
-        }
 
 
 def added_effect(richer: FittedModel, simpler: FittedModel) -> Name:

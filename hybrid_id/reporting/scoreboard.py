@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from hybrid_id.reporting.provenance import short
@@ -62,47 +62,28 @@ def value(name: str, score: Mapping[str, Any] | None) -> str:
     return f"{text} ({number(score['low'])} to {number(score['high'])}; {score['n']})"
 
 
-def score_rows(content: Scores) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the main table: scores against methods."""
-    methods = list(content["methods"])
-    rows = []
-    for name, words in ROWS.items():
-        found = [content["methods"][m]["scores"]["all"].get(name) for m in methods]
-        if any(found):
-            rows.append([words, *(value(name, one) for one in found)])
-    return ["", *methods], rows
-
-
-def target_rows(targets: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the targets."""
-    rows = [
-        [
-            t["claim"],
-            t["target"],
-            value(t["score"], t["seen"]),
-            "no case"
-            if t["met"] is None
-            else "**missed**"
-            if not t["met"]
-            else "met"
-            if t["shown"]
-            else DOUBTFUL,
-            ", ".join(t["cases"][:12]),
-        ]
-        for t in targets
-    ]
-    return ["claim", "target", "seen", "", "cases to look at"], rows
-
-
 def markdown(content: Scores) -> str:
-    """The report as a file of its own.
+    """The report as a file of its own: scores against methods, and the targets of the first one.
 
     Args:
         content: what is kept in ``scores.json``.
     """
-    about, first = content["about"], next(iter(content["methods"]))
+    about, methods = content["about"], content["methods"]
+    first = next(iter(methods))
     hashes = ", ".join(one[:16] for one in about["sha256"])
     others = {m: c for m, c in about.get("commits", {}).items() if c != about["commit"]}
+    rows = []
+    for name, words in ROWS.items():
+        scores = [of["scores"]["all"].get(name) for of in methods.values()]
+        if any(scores):
+            rows.append([words, *(value(name, score) for score in scores)])
+    targets = []
+    for target in methods[first]["targets"]:
+        met = "met" if target["shown"] else DOUBTFUL
+        met = "no case" if target["met"] is None else met if target["met"] else "**missed**"
+        seen = value(target["score"], target["seen"])
+        targets.append([target["claim"], target["target"], seen, met, ", ".join(target["cases"][:12])])
+    claims = methods[first]["scores"]["reliability"]
     parts = [
         f"# {about['date']}, commit {short(about['commit'])}, seed {about['seed']}",
         f"{about['scored']} of {about['cases']} cases scored"
@@ -111,19 +92,13 @@ def markdown(content: Scores) -> str:
         + "".join(f"`{method}` was run at commit {short(at)}. " for method, at in others.items())
         + "Shares with Wilson's 95 % interval and the number of cases behind them.",
         f"    {about['command']}",
-        markdown_table(*score_rows(content)),
+        markdown_table(["", *methods], rows),
         f"Targets, for `{first}`:",
-        markdown_table(*target_rows(content["methods"][first]["targets"])),
-        calibration(content["methods"][first]["scores"]["reliability"]),
+        markdown_table(["claim", "target", "seen", "", "cases to look at"], targets),
+        "No effect was ranked, so that there is no probability to judge."
+        if claims["expected_error"] is None
+        else f"Probabilities of the named effects: expected calibration error {claims['expected_error']:.3f} (ten bins "
+        f"of equal count; absent names below 0.02 left out), Brier score {claims['brier']:.3f} over {claims['n']} "
+        "claims.",
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def calibration(claims: Mapping[str, Any]) -> str:
-    """The calibration of the probabilities in a sentence."""
-    if claims["expected_error"] is None:
-        return "No effect was ranked, so that there is no probability to judge."
-    return (
-        f"Probabilities of the named effects: expected calibration error {claims['expected_error']:.3f} (ten bins of "
-        f"equal count; absent names below 0.02 left out), Brier score {claims['brier']:.3f} over {claims['n']} claims."
-    )
