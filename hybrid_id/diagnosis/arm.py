@@ -20,7 +20,7 @@ from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.common_cause import judged_by_all
 from hybrid_id.diagnosis.coupled_gear import CoupledGear, coupled_gears, with_gears
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
+from hybrid_id.diagnosis.diagnose import Answer, answered, reported
 from hybrid_id.diagnosis.distinguish import distinguished
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink, unconfirmed
 from hybrid_id.diagnosis.fits import engine
@@ -364,19 +364,18 @@ def diagnose_arm(
                 if not found:
                     raise
                 return found, True
-            if found[name][1].found.interrupted:
+            if found[name].found.interrupted:
                 return found, True
         return found, False
 
     first, stopped = searched(system, names, skipped)
     _raise_without_any(first, skipped)
-    answers = {name: answer for name, (_, answer) in first.items()}
-    common = horizon or common_horizon(answers)
-    robot = WholeRobot(dataset, system, answers, common, seed, progress)
-    found, gears = first, tuple[CoupledGear, ...]()
+    common = horizon or common_horizon(first)
+    robot = WholeRobot(dataset, system, first, common, seed, progress)
+    gears = tuple[CoupledGear, ...]()
     if not stopped:  # who stops waits for no more fits
         try:
-            robot, found, gears = _with_gears(robot, first, searched)
+            robot, gears = _with_gears(robot, searched)
             # as the whole robot leaves the answers: what acts on all, ties that it settles, claims that help
             robot.say("the whole robot", 0, 1)
             checked = robot
@@ -387,15 +386,13 @@ def diagnose_arm(
             stopped = True
     # the joints' diagnoses; those that fail are skipped. Stopped after one it has those that are there
     done = dict[str, Diagnosis]()
-    for name, (measured, _) in found.items():
+    for name, answer in robot.answers.items():
         own = (one for one in skews if f"joint{number_of(one.channel)}" in robot.keys(name))
-        measured = replace(measured, skews=(*own, *measured.skews))
+        answer = replace(answer, skews=(*own, *answer.skews))
         try:
-            done[name] = reported(
-                measured, robot.drives[name], robot.answers[name], seed=robot.seed, level=level
-            )
+            done[name] = reported(answer, robot.drives[name], seed=robot.seed, level=level)
         except InputError as error:
-            if len(found) == 1:
+            if len(robot.answers) == 1:
                 raise
             skipped[name] = str(error).removesuffix(".")
         except KeyboardInterrupt:
@@ -403,10 +400,10 @@ def diagnose_arm(
                 raise
             break
     _raise_without_any(done, skipped)
-    lacking = [name for name in found if name not in done and name not in skipped]
+    lacking = [name for name in robot.answers if name not in done and name not in skipped]
     lacking += [name for name in names if name not in first and name not in skipped]
     skipped |= dict.fromkeys(lacking, STOPPED)
-    without = {name: one.found.base.system for name, (_, one) in first.items() if name not in found}
+    without = {name: one.found.base.system for name, one in first.items() if name not in robot.answers}
     whole = partial(_of_whole_robot, robot, system, done, without, gears, skipped, skews)
     try:
         return whole(stopped=stopped or bool(lacking))
@@ -414,31 +411,30 @@ def diagnose_arm(
         return whole(stopped=True)
 
 
-Found = dict[str, tuple[Measured, Answer]]
-"""What is known of each joint before its search, and what the search says."""
+Found = dict[str, Answer]
+"""What the search says of each joint."""
 
 
 def _with_gears(
-    robot: WholeRobot, first: Found, searched: Callable[..., tuple[Found, bool]]
-) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
-    """The robot with gears that its model lacks, the searches with the joints of each as one, and these gears."""
+    robot: WholeRobot, searched: Callable[..., tuple[Found, bool]]
+) -> tuple[WholeRobot, tuple[CoupledGear, ...]]:
+    """The robot with gears that its model lacks, searched with the joints of each as one, and these gears."""
     gears = coupled_gears(robot)
     if not gears:
-        return robot, first, ()
+        return robot, ()
     coupled = with_gears(robot.nominal, gears)
     asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
     try:
         more, stopped = searched(coupled, list(asked), {})
     except InputError:
-        return robot, first, ()
+        return robot, ()
     if stopped:
         raise KeyboardInterrupt
     if len(more) < len(asked):
-        return robot, first, ()
+        return robot, ()
     apart = {name for pair in asked.values() for name in pair}
-    found = {name: one for name, one in first.items() if name not in apart} | more
-    answers = {name: answer for name, (_, answer) in found.items()}
-    return replace(robot, nominal=coupled, answers=answers), found, gears
+    answers = {name: one for name, one in robot.answers.items() if name not in apart} | more
+    return replace(robot, nominal=coupled, answers=answers), gears
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
