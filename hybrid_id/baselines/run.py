@@ -98,9 +98,9 @@ def run_cases(
         scheduler: address of a Dask cluster, which is taken instead.
     """
     for number, result in each(run_case, settings, cases, jobs=jobs, scheduler=scheduler):
-        broken = {"case": cases[number].name, "run": {"method": settings.method, "message": ""}}
         if isinstance(result, Failure):
-            result = broken | {"run": broken["run"] | {"message": result.message}}
+            about = {"method": settings.method, "message": result.message}
+            result = {"case": cases[number].name, "run": about}
         yield number, result
 
 

@@ -7,7 +7,7 @@ whole, and the test records measure it, driven by the commands alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -336,9 +336,7 @@ def diagnose_arm(
             )
     names = [name for name in able if name in asked]
     skipped |= {name: NOT_ASKED for name in able if name not in names}
-    if not names:
-        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
+    _raise_without_any(names, dataset, skipped)
 
     def searched(system: System, names: Sequence[str], skipped: dict[str, str]) -> tuple[Found, bool]:
         # of joints, the others as measured, and whether the searches were stopped; failed ones are `skipped`
@@ -369,7 +367,7 @@ def diagnose_arm(
         return found, False
 
     first, stopped = searched(system, names, skipped)
-    _raise_without_any(first, skipped)
+    _raise_without_any(first, dataset, skipped)
     common = horizon or common_horizon(first)
     robot = WholeRobot(dataset, system, first, common, seed, progress)
     gears = tuple[CoupledGear, ...]()
@@ -399,7 +397,7 @@ def diagnose_arm(
             if not done:
                 raise
             break
-    _raise_without_any(done, skipped)
+    _raise_without_any(done, dataset, skipped)
     lacking = [name for name in robot.answers if name not in done and name not in skipped]
     lacking += [name for name in names if name not in first and name not in skipped]
     skipped |= dict.fromkeys(lacking, STOPPED)
@@ -437,10 +435,10 @@ def _with_gears(
     return replace(robot, nominal=coupled, answers=answers), gears
 
 
-def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
+def _raise_without_any(found: Collection[str], dataset: Dataset, skipped: Mapping[str, str]) -> None:
     if not found:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise InputError(f"No joint can be diagnosed: {reasons}.")
+        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
 
 
 def _of_whole_robot(
