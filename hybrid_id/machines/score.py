@@ -13,7 +13,7 @@ Truth = Mapping[str, Any]
 Said = Mapping[str, Any]
 """The content of a ``diagnosis.json``."""
 SOUND = ("none", "parameters")
-"""Families whose structure is right; in those of earlier generators, ``none`` has wrong values, too."""
+"""Families whose structure is right."""
 LINK = ("link_friction", "load")
 """Places on the link's side of a gear."""
 RIGHT, WRONG = 1.05, 1.2
@@ -224,8 +224,6 @@ def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float
     The true share is what an effect closes after those that are named before it, of the gap on the train records, as
     the claimed one is. The answers know it alone, and after all larger ones; of two dominant effects either may lead.
     """
-    if not all("share_train" in one for one in truth):
-        return (), None  # answers of an earlier generator
     matched = [next((t for t in truth if _right(e, t)), None) for e in chosen]
     errors, covered = [], None
     for k, (said, own) in enumerate(zip(chosen, matched, strict=True)):
