@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-STAGES = ("measure", "search", "freeze", "test", "report")
+STAGES = ("search", "freeze", "reported")
 """Functions of ``diagnosis.diagnose``, one a stage: search screens, fits and selects."""
 REST = "rest"
 TARGETS = {1: 60.0, 2: 180.0}

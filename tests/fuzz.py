@@ -319,7 +319,7 @@ def runs() -> Files:
         "names": ["c001", "c002"],
         "answers": {"sha256": hashlib.sha256(sealed["answers.tar"]).hexdigest()},
     }
-    about = {"method": "diagnose", "commit": "c", "train_records": None, "started": "today",
+    about = {"method": "diagnose", "commit": "c", "started": "today",
              "cases": cases | {"seed": 1, "asked": 2, "options": {}, "commit": "c"}}  # fmt: skip
     effect = {"name": "backlash", "where": "joint1/transmission", "probability": 0.9, "selected": True, "tied_with": [],
               "parameters": {"gap": 0.01}}  # fmt: skip

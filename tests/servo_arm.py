@@ -86,4 +86,4 @@ def simulated(
 def of_joint(dataset: Dataset, nominal: System, joint: int) -> Answer:
     """What a joint, by its number from 0, says by itself."""
     records = with_others_measured(moving_records(dataset, joint), nominal, joint)
-    return answered(records, alone(nominal, joint))[1]
+    return answered(records, alone(nominal, joint))

@@ -206,7 +206,7 @@ def test_a_link_in_a_circle_is_refused(tmp_path: Path) -> None:
 
 HASH = "0" * 64
 CASES = {"names": ["c001"], "answers": {"sha256": HASH}, "seed": 1, "asked": 1, "options": {}, "commit": "c"}
-RUN = {"method": "bic", "commit": "c", "started": "today", "train_records": None, "cases": CASES}
+RUN = {"method": "bic", "commit": "c", "started": "today", "cases": CASES}
 SHEET = b"family: none\neffects: []\n"
 
 

@@ -26,13 +26,13 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
 
     Args:
         folder: of the method.
-        about: at least ``method``, ``cases`` (the manifest) and ``train_records``.
+        about: at least ``method`` and ``cases`` (the manifest).
 
     Raises:
         InputError: the folder holds a run of other cases or settings, or cannot be made.
     """
     kept = read_run(folder) if (folder / RUN).exists() else about
-    for name in ("method", "cases", "train_records", "command"):
+    for name in ("method", "cases", "command"):
         mended = name == "command" and not any(folder.glob(f"*/{DIAGNOSIS}"))
         if kept.get(name) != about.get(name) and not mended:
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")

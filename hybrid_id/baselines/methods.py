@@ -8,7 +8,7 @@ does by hand: nothing is left out for validation, no pair is tried, and nothing 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,13 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.errors_on_test import errors, shrink
 from hybrid_id.diagnosis.fits import Fits, Task, engine
+from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.units import stem
-from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.by_joint import (
-    as_in_robot,
     joint_parts,
     joints_to_diagnose,
     named,
@@ -60,7 +58,7 @@ def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
         worst = tried[0][0].system
         places = [named(worst, f"{worst.joints[0].name}/motor_friction")]
     effects = [
-        _effect(STRIBECK, where, float(k == 0), selected=k == 0)
+        RatedEffect(STRIBECK, where, float(k == 0), k == 0, (), {})
         for k, where in enumerate(dict.fromkeys(places))
     ]
     before = joined(system, [base.system for base, _ in tried])
@@ -86,7 +84,9 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     weights = weights / weights.sum()
     found = bool(ranked) and ranked[0][0] < 0.0
     effects = [
-        _effect(fit.effects[0][0], named(fit.system, fit.effects[0][1]), weight, selected=found and k == 0)
+        RatedEffect(
+            fit.effects[0][0], named(fit.system, fit.effects[0][1]), float(weight), found and k == 0, (), {}
+        )
         for k, ((_, fit), weight) in enumerate(zip(ranked, weights[1:], strict=True))
     ]
     first = joined(system, before)
@@ -134,7 +134,7 @@ def joined(whole: System, models: Sequence[System]) -> System:
 
 
 def answer(
-    dataset: Dataset, effects: Sequence[Mapping[str, Any]], nominal: System, before: System, after: System
+    dataset: Dataset, effects: Sequence[RatedEffect], nominal: System, before: System, after: System
 ) -> dict[str, Any]:
     """The answer of a baseline, in the form of ``diagnosis.json``, with errors on the test records if there are any.
 
@@ -145,68 +145,29 @@ def answer(
         before: its re-fit.
         after: the corrected one, fitted.
     """
-    gap: dict[str, Any] = {}
     given, first, last = (errors(dataset, model, engine()) for model in (nominal, before, after))
-    if given is not None and first is not None and last is not None:
-        closed = shrink(first, last, min(last.noise, last.nrmse))
-        gap = {
-            "nominal": given.nrmse, "refit": first.nrmse, "with_effect": last.nrmse, "noise_floor": closed.floor,
-            "shrink": closed.share, "shrink_interval": list(closed.interval),
-        }  # fmt: skip
-    wrong_values = bool(gap) and gap["nominal"] >= CRITERIA.wrong_values * gap["refit"]
+    closed = first and last and shrink(first, last, min(last.noise, last.nrmse))
+    wrong_values = bool(given and first and given.nrmse >= CRITERIA.wrong_values * first.nrmse)
     silent = "parameters_only" if wrong_values else "no_gap"
-    verdict = "effects" if any(effect["selected"] for effect in effects) else silent
+    verdict = "effects" if any(one.selected for one in effects) else silent
     return {
         "case": dataset.name, "verdict": verdict, "unknown": False, "no_gap": verdict == silent,
-        "effects": list(effects), "ties": [], "gap": gap,
-    }  # fmt: skip
-
-
-def _effect(name: str, where: str, probability: float, *, selected: bool) -> dict[str, Any]:
-    """One effect of the ranking."""
-    return {
-        "name": name, "where": where, "probability": round(float(probability), 4), "tied_with": [],
-        "parameters": {}, "selected": selected,
+        "effects": [effect_entry(one) for one in effects], "ties": [],
+        "gap": gap_entry(given, first, last, closed, ""),
     }  # fmt: skip
 
 
 def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
-    """Content of ``diagnosis.json``, with all that the proposed experiment is made of; of a robot joint by joint.
-
-    A robot's ``next_experiments`` are those of each joint with a tie that matters.
+    """Content of ``diagnosis.json``; of a robot joint by joint, and ``unknown_location`` with it.
 
     Raises:
         KeyboardInterrupt: stopped before its end: half a search is no answer to a case.
     """
-    if system.tree is None:
-        drive = diagnose(dataset, system)
-        if drive.interrupted:
-            raise KeyboardInterrupt
-        return drive.as_dict() | {"next_experiments": proposed(drive)}
-    arm = diagnose_arm(dataset, system)
-    if arm.interrupted:
+    found = diagnose(dataset, system) if system.tree is None else diagnose_arm(dataset, system)
+    if found.interrupted:
         raise KeyboardInterrupt
-    acting = [joint for joint, one in arm.joints.items() if one.unknown]
-    where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
-    return arm.as_dict() | {
-        "unknown_location": where and {"joint": where, "side": None},
-        "next_experiments": [entry for joint in arm.tied for entry in proposed(arm.joints[joint])],
-    }
-
-
-def proposed(found: Diagnosis) -> list[dict[str, Any]]:
-    """The proposed records with all that they are made of; none where they distinguish nothing.
-
-    Beside each entry of ``diagnosis.json``: ``sample_time``, the ``command``, the robot's other angles ``held`` and
-    the outputs at its ``start``, by channel.
-    """
-    entries: list[dict[str, Any]] = found.as_dict()["next_experiments"]
-    for entry, experiment in zip(entries, found.proposed, strict=True):
-        given = as_in_robot(experiment.inputs, found.model)
-        entry |= {
-            "sample_time": float(experiment.time[1] - experiment.time[0]),
-            "command": [round(float(u), 4) for u in experiment.command],
-            "held": {n: float(v[0]) for n, v in given.items() if stem(n) == MOTION[0]},
-            "start": dict(experiment.start),
-        }
-    return entries
+    if isinstance(found, Diagnosis):
+        return found.as_dict()
+    acting = found.joints_with_unknown
+    where = max(acting, key=lambda joint: found.parts[joint], default=None)
+    return found.as_dict() | {"unknown_location": where and {"joint": where, "side": None}}

@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +49,11 @@ class Settings:
 
     Attributes:
         method: one of `METHODS`, or ``external``.
-        train_records: so many train records at most; all of them by default.
         command: of an external program, see :func:`.external.external`.
         digest: of the program that it starts.
     """
 
     method: str
-    train_records: int | None = None
     command: str | None = None
     digest: str | None = None
 
@@ -100,9 +98,9 @@ def run_cases(
         scheduler: address of a Dask cluster, which is taken instead.
     """
     for number, result in each(run_case, settings, cases, jobs=jobs, scheduler=scheduler):
-        broken = {"case": cases[number].name, "run": {"method": settings.method, "message": ""}}
         if isinstance(result, Failure):
-            result = broken | {"run": broken["run"] | {"message": result.message}}
+            about = {"method": settings.method, "message": result.message}
+            result = {"case": cases[number].name, "run": about}
         yield number, result
 
 
@@ -114,7 +112,7 @@ def run_case(settings: Settings, case: Case) -> dict[str, Any]:
         for name, content in case.files.items():
             (folder / name).write_bytes(content)
         system = load_model(folder / "model.yaml")
-        dataset = with_train_records(Dataset.load(folder), settings.train_records)
+        dataset = Dataset.load(folder)
         wall, processor = time.perf_counter(), _processor_seconds()
         if settings.method == "external":
             said = external(folder, settings.command)
@@ -123,8 +121,6 @@ def run_case(settings: Settings, case: Case) -> dict[str, Any]:
     about = {
         "method": settings.method,
         "message": "",
-        "system": system.name,
-        "train_records": len(dataset.train),
         "seconds": round(time.perf_counter() - wall, 3),
         "processor_seconds": round(_processor_seconds() - processor, 3),
     }
@@ -134,13 +130,3 @@ def run_case(settings: Settings, case: Case) -> dict[str, Any]:
 def _processor_seconds() -> float:
     """Processor time of this process and of the programs that it has run, compilers say [s]."""
     return sum(os.times()[:4])
-
-
-def with_train_records(dataset: Dataset, count: int | None) -> Dataset:
-    """The dataset with its first train records only, and all test records."""
-    if count is None:
-        return dataset
-    if count < 1:
-        raise InputError("a diagnosis needs a train record; give at least one")
-    kept = {record.name for record in dataset.train[:count]}
-    return replace(dataset, records=tuple(r for r in dataset if r.role != "train" or r.name in kept))

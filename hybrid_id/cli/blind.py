@@ -29,11 +29,6 @@ blind = typer.Typer(
 )
 
 
-@blind.callback()
-def _blind() -> None:
-    """Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."""
-
-
 class Method(StrEnum):
     """Who diagnoses the cases."""
 
@@ -123,16 +118,6 @@ def run(
             show_default="diagnose",
         ),
     ] = None,
-    train_records: Annotated[
-        int | None,
-        typer.Option(
-            "--train-records",
-            help="So many train records of each case at most.",
-            min=1,
-            max=100_000,
-            show_default="all",
-        ),
-    ] = None,
     command: Annotated[
         str | None,
         typer.Option(
@@ -151,7 +136,7 @@ def run(
     """
     check_backend(backend, scheduler)
     methods = method or [Method.diagnose]
-    broken = work.run_methods(cases, out, methods, train_records, jobs, scheduler, command)
+    broken = work.run_methods(cases, out, methods, jobs, scheduler, command)
     show(f"diagnoses are in {out}; 'hybrid-id blind score {out} --answers ARCHIVE' scores them")
     if broken:
         raise typer.Exit(BROKEN)
@@ -175,19 +160,18 @@ def score(
             show_default=False,
         ),
     ],
-    partial: Annotated[bool, typer.Option("--partial", help="Score an unfinished run.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Score diagnoses; refuses answers that are not those that were sealed before the run.
 
     All methods in the folder are scored side by side. Cases that were made and run in parts are scored together.
-    Writes scores.json, scoreboard.md, report.html and pictures into the (first) folder.
+    Writes scores.json and scoreboard.md into the (first) folder.
     """
     from hybrid_id.reporting.scoreboard import markdown
 
-    content = work.gathered(runs, answers, [m.value for m in Method], partial=partial)
+    content = work.gathered(runs, answers, [m.value for m in Method])
     text = work.write_scores(runs[0], content)
     if as_json:
         return show(text)
     show(markdown(content))
-    show(f"results are in {runs[0]}: {work.SCORES}, {work.BOARD}, {work.PAGE}, pictures")
+    show(f"results are in {runs[0]}: {work.SCORES}, {work.BOARD}")

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""
-SCORES, BOARD, PAGE = "scores.json", "scoreboard.md", "report.html"
-OF_RUN: Mapping[str, Any] = {"commit": str, "started": str, "train_records": int | None}
+SCORES, BOARD = "scores.json", "scoreboard.md"
+OF_RUN: Mapping[str, Any] = {"commit": str, "started": str}
 OF_CASES: Mapping[str, Any] = {"seed": int, "asked": int, "names": list, "options": dict, "commit": str}
 """What a benchmark report says of a run and of its cases, and the kind of each value."""
 
@@ -128,7 +128,6 @@ def run_methods(
     cases: Path,
     out: Path,
     methods: Sequence[str],
-    train_records: int | None,
     jobs: int,
     scheduler: str | None,
     command: str | None = None,
@@ -144,8 +143,6 @@ def run_methods(
     if ("external" in methods) != (command is not None):
         raise InputError("--method external and --command belong together; give both, or neither")
     if command is not None:
-        if train_records is not None:
-            raise InputError("an external baseline takes cases as they are; leave --train-records out")
         program = words_of(command)[0]
         if scheduler is None and shutil.which(program) is None:
             raise InputError(
@@ -163,7 +160,7 @@ def run_methods(
     broken, todo = 0, read_cases(cases, manifest)
     for method in methods:
         own = (command, digest_of(command)) if command is not None and method == "external" else (None, None)
-        settings, folder = Settings(method, train_records, *own), out / method
+        settings, folder = Settings(method, *own), out / method
         with sole_writer(make_folder(folder)):
             begin(
                 folder,
@@ -171,7 +168,6 @@ def run_methods(
                     "program": f"hybrid_id {__version__}",
                     "commit": commit(),
                     "method": method,
-                    "train_records": settings.train_records,
                     "command": settings.command,
                     "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                     "cases": manifest,
@@ -204,16 +200,13 @@ def run_methods(
     return broken
 
 
-def gathered(
-    runs: Sequence[Path], archives: Sequence[Path], order: Sequence[str], *, partial: bool = False
-) -> dict[str, Any]:
+def gathered(runs: Sequence[Path], archives: Sequence[Path], order: Sequence[str]) -> dict[str, Any]:
     """Scores of all methods in the folders of all parts, and what they are about.
 
     Args:
         runs: folder of each part.
         archives: answers of each part.
         order: names of the methods as they shall stand.
-        partial: whether unfinished runs are scored.
 
     Raises:
         InputError: no run, runs of different cases, parts that do not belong together, other answers, or cases that
@@ -237,9 +230,7 @@ def gathered(
         manifest = next(iter(part.values()))["cases"]
         if any(run["cases"] != manifest for run in part.values()):
             raise InputError(f"the runs in {folder} are of different cases; give each a folder of its own")
-        known = {
-            m: [run.get(key) for key in ("commit", "train_records", "command")] for m, run in part.items()
-        }
+        known = {m: [run.get(key) for key in ("commit", "command")] for m, run in part.items()}
         programs.append([known, *(manifest[key] for key in ("seed", "options", "commit"))])
         if programs[-1] != programs[0]:
             raise InputError(
@@ -250,11 +241,8 @@ def gathered(
             raise InputError(f"{folder} does not begin with case {number}; give all parts, in their order")
         manifests.append(manifest)
         by_method = by_method or part
-        cases = {method: judge_run(folder / method, archive, partial=partial) for method in part}
-        # of an unfinished run, the cases that all methods have diagnosed
-        shared = set.intersection(*({one.case for one in ones} for ones in cases.values()))
-        for method, ones in cases.items():
-            judged.setdefault(method, []).extend(one for one in ones if one.case in shared)
+        for method in part:
+            judged.setdefault(method, []).extend(judge_run(folder / method, archive))
     methods = {}
     for method, ones in judged.items():
         found = scores(ones)
@@ -280,7 +268,6 @@ def gathered(
         "asked": asked,
         "cases": sum(len(one["names"]) for one in manifests),
         "scored": len(judged[first]),
-        "train_records": run["train_records"],
         "made_at": manifest["commit"],
         "sha256": [one["answers"]["sha256"] for one in manifests],
         "command": shlex.join(["hybrid-id", "blind", "make", "--out", "cases", *words]),
@@ -305,7 +292,7 @@ def _complete(folder: Path) -> dict[str, Any]:
     return about
 
 
-def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Judged]":
+def judge_run(folder: Path, archive: Path) -> "list[Judged]":
     """Every case of one method's run, judged.
 
     Raises:
@@ -320,10 +307,10 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
     said = {name: load(folder, name) for name in about["cases"]["names"]}
     said = {n: s for n, s in said.items() if s is not None and s["run"].get("commit") == about["commit"]}
     left = [name for name in about["cases"]["names"] if name not in said]
-    if left and not (partial and said):
+    if left:
         raise InputError(
             f"{folder} lacks {len(left)} of {len(left) + len(said)} cases at commit {short(about['commit'])} "
-            f"({', '.join(left[:3])} ...); run them first, or give --partial"
+            f"({', '.join(left[:3])} ...); run them first"
         )
     judged = []
     for name, one in said.items():
@@ -333,19 +320,15 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
 
 
 def write_scores(runs: Path, content: dict[str, Any]) -> str:
-    """Write all files under temporary names first, `scores.json` last; returns `scores.json` as text."""
+    """Write both files under temporary names first, `scores.json` last; returns `scores.json` as text."""
     from hybrid_id.records.files import hidden_beside
     from hybrid_id.reporting.results import as_json
-    from hybrid_id.reporting.scoreboard import blind_page, markdown, scoreboard_figures
-    from hybrid_id.reporting.style import save
+    from hybrid_id.reporting.scoreboard import markdown
 
-    text, figures = as_json("blind score", content), scoreboard_figures(content)
+    text = as_json("blind score", content)
     with hidden_beside(runs / SCORES) as new:
-        for name, figure in figures.items():
-            save(figure, new / f"{name}.png")
-        blind_page(content, figures).write(new / PAGE)
         (new / BOARD).write_text(markdown(content), encoding="utf-8")
         (new / SCORES).write_text(text + "\n", encoding="utf-8")
-        for name in (*(f"{name}.png" for name in figures), PAGE, BOARD, SCORES):
+        for name in (BOARD, SCORES):
             (new / name).replace(runs / name)
     return text

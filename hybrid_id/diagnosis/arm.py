@@ -7,7 +7,7 @@ whole, and the test records measure it, driven by the commands alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +20,7 @@ from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.common_cause import judged_by_all
 from hybrid_id.diagnosis.coupled_gear import CoupledGear, coupled_gears, with_gears
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
+from hybrid_id.diagnosis.diagnose import Answer, answered, reported
 from hybrid_id.diagnosis.distinguish import distinguished
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink, unconfirmed
 from hybrid_id.diagnosis.fits import engine
@@ -30,10 +30,17 @@ from hybrid_id.diagnosis.plausibility import within_reach
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.whole_robot import WholeRobot, acts_on_all, brought_to, common_horizon, parts_of_gap
+from hybrid_id.diagnosis.whole_robot import (
+    UNFITTED,
+    WholeRobot,
+    acts_on_all,
+    brought_to,
+    common_horizon,
+    parts_of_gap,
+)
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
-from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
@@ -329,9 +336,7 @@ def diagnose_arm(
             )
     names = [name for name in able if name in asked]
     skipped |= {name: NOT_ASKED for name in able if name not in names}
-    if not names:
-        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
+    _raise_without_any(names, dataset, skipped)
 
     def searched(system: System, names: Sequence[str], skipped: dict[str, str]) -> tuple[Found, bool]:
         # of joints, the others as measured, and whether the searches were stopped; failed ones are `skipped`
@@ -357,19 +362,18 @@ def diagnose_arm(
                 if not found:
                     raise
                 return found, True
-            if found[name][1].found.interrupted:
+            if found[name].found.interrupted:
                 return found, True
         return found, False
 
     first, stopped = searched(system, names, skipped)
-    _raise_without_any(first, skipped)
-    answers = {name: answer for name, (_, answer) in first.items()}
-    common = horizon or common_horizon(answers)
-    robot = WholeRobot(dataset, system, answers, common, seed, progress)
-    found, gears = first, tuple[CoupledGear, ...]()
+    _raise_without_any(first, dataset, skipped)
+    common = horizon or common_horizon(first)
+    robot = WholeRobot(dataset, system, first, common, seed, progress)
+    gears = tuple[CoupledGear, ...]()
     if not stopped:  # who stops waits for no more fits
         try:
-            robot, found, gears = _with_gears(robot, first, searched)
+            robot, gears = _with_gears(robot, searched)
             # as the whole robot leaves the answers: what acts on all, ties that it settles, claims that help
             robot.say("the whole robot", 0, 1)
             checked = robot
@@ -380,26 +384,24 @@ def diagnose_arm(
             stopped = True
     # the joints' diagnoses; those that fail are skipped. Stopped after one it has those that are there
     done = dict[str, Diagnosis]()
-    for name, (measured, _) in found.items():
+    for name, answer in robot.answers.items():
         own = (one for one in skews if f"joint{number_of(one.channel)}" in robot.keys(name))
-        measured = replace(measured, skews=(*own, *measured.skews))
+        answer = replace(answer, skews=(*own, *answer.skews))
         try:
-            done[name] = reported(
-                measured, robot.drives[name], robot.answers[name], seed=robot.seed, level=level
-            )
+            done[name] = reported(answer, robot.drives[name], seed=robot.seed, level=level)
         except InputError as error:
-            if len(found) == 1:
+            if len(robot.answers) == 1:
                 raise
             skipped[name] = str(error).removesuffix(".")
         except KeyboardInterrupt:
             if not done:
                 raise
             break
-    _raise_without_any(done, skipped)
-    lacking = [name for name in found if name not in done and name not in skipped]
+    _raise_without_any(done, dataset, skipped)
+    lacking = [name for name in robot.answers if name not in done and name not in skipped]
     lacking += [name for name in names if name not in first and name not in skipped]
     skipped |= dict.fromkeys(lacking, STOPPED)
-    without = {name: one.found.base.system for name, (_, one) in first.items() if name not in found}
+    without = {name: one.found.base.system for name, one in first.items() if name not in robot.answers}
     whole = partial(_of_whole_robot, robot, system, done, without, gears, skipped, skews)
     try:
         return whole(stopped=stopped or bool(lacking))
@@ -407,37 +409,36 @@ def diagnose_arm(
         return whole(stopped=True)
 
 
-Found = dict[str, tuple[Measured, Answer]]
-"""What is known of each joint before its search, and what the search says."""
+Found = dict[str, Answer]
+"""What the search says of each joint."""
 
 
 def _with_gears(
-    robot: WholeRobot, first: Found, searched: Callable[..., tuple[Found, bool]]
-) -> tuple[WholeRobot, Found, tuple[CoupledGear, ...]]:
-    """The robot with gears that its model lacks, the searches with the joints of each as one, and these gears."""
+    robot: WholeRobot, searched: Callable[..., tuple[Found, bool]]
+) -> tuple[WholeRobot, tuple[CoupledGear, ...]]:
+    """The robot with gears that its model lacks, searched with the joints of each as one, and these gears."""
     gears = coupled_gears(robot)
     if not gears:
-        return robot, first, ()
+        return robot, ()
     coupled = with_gears(robot.nominal, gears)
     asked = {part_with(coupled, one.motor): (one.joint, one.motor) for one in gears}
     try:
         more, stopped = searched(coupled, list(asked), {})
     except InputError:
-        return robot, first, ()
+        return robot, ()
     if stopped:
         raise KeyboardInterrupt
     if len(more) < len(asked):
-        return robot, first, ()
+        return robot, ()
     apart = {name for pair in asked.values() for name in pair}
-    found = {name: one for name, one in first.items() if name not in apart} | more
-    answers = {name: answer for name, (_, answer) in found.items()}
-    return replace(robot, nominal=coupled, answers=answers), found, gears
+    answers = {name: one for name, one in robot.answers.items() if name not in apart} | more
+    return replace(robot, nominal=coupled, answers=answers), gears
 
 
-def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
+def _raise_without_any(found: Collection[str], dataset: Dataset, skipped: Mapping[str, str]) -> None:
     if not found:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise InputError(f"No joint can be diagnosed: {reasons}.")
+        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
 
 
 def _of_whole_robot(
@@ -476,10 +477,28 @@ def _of_whole_robot(
     moving, now = with_standing_held(dataset, nominal)  # what stands still goes with the records
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
+    given = [record for record in moving.records if record.role != "test"]
+
+    def coupled(system: System) -> tuple[System, FitResult | None]:
+        # fitted with all joints simulated: one by itself takes the motion of the others with its noise, the whole
+        # robot does not. As it was, and without a fit, where that errs no less
+        with suppress(*UNFITTED):
+            batch = horizon.cut(system, engine(), batch_of(moving, system, given))
+            options = Options(max_iterations=COUPLED)
+            fit = kept_fit(
+                robot.kept, system, batch, pooled=True, engine=engine(), options=options, warm=False
+            )[0]
+            before, after = (
+                errors(moving, one, engine(), given, horizon=horizon) for one in (system, fit.system)
+            )
+            if before is not None and after is not None and after.over_noise < before.over_noise:
+                return fit.system, fit
+        return system, None
+
     whole, lacking = None, bool(gears) or any(one.search.chosen.effects for one in found.values())
     if not stopped:  # who stops waits for no more fits
-        refit, whole = fitted_coupled(moving, refit, horizon, robot.kept)
-        model, whole = fitted_coupled(moving, model, horizon, robot.kept) if lacking else (refit, whole)
+        refit, whole = coupled(refit)
+        model, whole = coupled(model) if lacking else (refit, whole)
     gap, contradiction = None, ""
     nominal_errors, before, after = (
         errors(moving, one, engine(), horizon=horizon) for one in (now, refit, model)
@@ -501,36 +520,6 @@ def _of_whole_robot(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped, tuple(one.message for one in skews), gears,
     )  # fmt: skip
-
-
-def fitted_coupled(
-    dataset: Dataset,
-    system: System,
-    horizon: Horizon = WHOLE,
-    kept: Kept | None = None,
-) -> tuple[System, FitResult | None]:
-    """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
-
-    One joint by itself takes the motion of the others with its noise; the whole robot does not.
-
-    Args:
-        dataset: of the whole robot.
-        system: the robot, from whose values the fit starts.
-        horizon: how long its free runs are.
-        kept: fits that an earlier run has kept, and where this one is kept.
-
-    Returns:
-        The robot, and its fit where that was taken.
-    """
-    records = [record for record in dataset.records if record.role != "test"]
-    with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
-        batch = horizon.cut(system, engine(), batch_of(dataset, system, records, "cpu"))
-        options = Options(max_iterations=COUPLED)
-        again = kept_fit(kept, system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
-        both = [errors(dataset, s, engine(), records, horizon=horizon) for s in (system, again.system)]
-        if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
-            return again.system, again
-    return system, None
 
 
 def common_sizes(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -42,23 +42,6 @@ VAGUE = 1.0
 
 
 @dataclass(frozen=True)
-class RejectedChange:
-    """A change that explains less, or no better with more sizes.
-
-    Attributes:
-        name: As of `ParameterChange`.
-        joint: Number of the joint; 0 for all.
-        explained: Share of the chi-square.
-        probability: Of the chi-square left, were nothing else changed.
-    """
-
-    name: str
-    joint: int
-    explained: float
-    probability: float
-
-
-@dataclass(frozen=True)
 class ParameterChange:
     """What has changed in the machine against the nominal values.
 
@@ -69,10 +52,7 @@ class ParameterChange:
         size: Relative change, 0.3 for 30 % more; 0 for ``none`` and ``several``.
         interval: Its 95 % interval.
         parameters: Names of the parameters that moved.
-        explained: Share of the re-fit's chi-square against the nominal values that the change explains.
         words: The same in a sentence.
-        indistinguishable_from: Names of other changes that leave nothing sure either.
-        rejected: The other changes, best first.
         together: Names of changes that explain the better part of it together, where one alone does not.
     """
 
@@ -81,10 +61,7 @@ class ParameterChange:
     size: float
     interval: tuple[float, float]
     parameters: tuple[str, ...]
-    explained: float
     words: str
-    indistinguishable_from: tuple[str, ...] = ()
-    rejected: tuple[RejectedChange, ...] = ()
     together: tuple[str, ...] = ()
 
 
@@ -160,16 +137,10 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     whitened = whitener @ axes.T
     hypotheses = list(_hypotheses(nominal, infos))
     solutions = [s for s in (_solve(one, whitened, moved) for one in hypotheses) if _makes_sense(s)]
-    solutions.sort(key=lambda s: s.left)
-    passing = sorted((s for s in solutions if s.probability >= LEFT), key=lambda s: len(s.sizes))
-    chosen = passing[0] if passing else None
-    rejected = tuple(
-        RejectedChange(s.hypothesis.name, s.hypothesis.joint, 1.0 - s.left / total, s.probability)
-        for s in solutions
-        if s is not chosen
-    )
-    if chosen is not None:
+    passing = [s for s in solutions if s.probability >= LEFT]
+    if passing:
         # the first of the changes that leave nothing sure; the others are indistinguishable from it
+        passing.sort(key=lambda s: (len(s.sizes), s.left))
         best = passing[0]
         one, size, size_std = best.hypothesis, *(x[best.hypothesis.lead] for x in (best.sizes, best.errors))
         others = tuple(dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name))
@@ -177,7 +148,7 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         if others:
             listed = ", ".join(name.replace("_", " ") for name in others)
             said += f"; indistinguishable in these records from a change of {listed}"
-        one = ParameterChange(
+        return ParameterChange(
             name=one.name,
             joint=one.joint,
             size=float(np.expm1(size)),
@@ -186,49 +157,44 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
                 float(np.expm1(size + HALF_WIDTH * size_std)),
             ),
             parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
-            explained=1.0 - best.left / total,
             words=said,
-            indistinguishable_from=others,
         )
+    # where no torque is known, changes that differ by the scale of all torques are indistinguishable
+    parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
+    # which parameters have surely moved by themselves, and how far (logarithm)
+    powers = np.array([torque_power(info.spec.unit) for info in infos], float)
+    seen = axes @ axes.T
+    if _scale_unseen(infos, axes):
+        seen = seen + np.outer(powers, powers) / float(powers @ powers)
+        change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
+    error = np.sqrt(np.diag(axes @ spread @ axes.T))
+    alone = {
+        k: float(change[k])
+        for k in range(len(infos))
+        if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
+    }
+    parts = _beside(parts, alone, whitened, moved)
+    # changes that act at once, and the parameters that moved beside them
+    within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
+    changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
+    beside = ", ".join(
+        f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
+        for info, own in changes
+    )
+    if parts:
+        words = "; ".join(_words(nominal, one, names) for one in parts)
+        words += f"; beside that {beside}" if beside else ""
     else:
-        # where no torque is known, changes that differ by the scale of all torques are indistinguishable
-        parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
-        # which parameters have surely moved by themselves, and how far (logarithm)
-        powers = np.array([torque_power(info.spec.unit) for info in infos], float)
-        seen = axes @ axes.T
-        if _scale_unseen(infos, axes):
-            seen = seen + np.outer(powers, powers) / float(powers @ powers)
-            change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
-        error = np.sqrt(np.diag(axes @ spread @ axes.T))
-        alone = {
-            k: float(change[k])
-            for k in range(len(infos))
-            if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
-        }
-        parts = _beside(parts, alone, whitened, moved)
-        # changes that act at once, and the parameters that moved beside them
-        within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
-        changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
-        beside = ", ".join(
-            f"{named(info)} {_change_words(own, info.spec.value)}{as_late(nominal, info, own)}"
-            for info, own in changes
-        )
-        if parts:
-            words = "; ".join(_words(nominal, one, names) for one in parts)
-            words += f"; beside that {beside}" if beside else ""
-        else:
-            words = f"several parameters moved{f': {beside}' if beside else ' together'}"
-        one = ParameterChange(
-            name="several",
-            joint=0,
-            size=0.0,
-            interval=(0.0, 0.0),
-            parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
-            explained=max((r.explained for r in rejected), default=0.0),
-            words=_capital(words),
-            together=tuple(one.hypothesis.name for one in parts),
-        )
-    return replace(one, rejected=rejected)
+        words = f"several parameters moved{f': {beside}' if beside else ' together'}"
+    return ParameterChange(
+        name="several",
+        joint=0,
+        size=0.0,
+        interval=(0.0, 0.0),
+        parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
+        words=_capital(words),
+        together=tuple(one.hypothesis.name for one in parts),
+    )
 
 
 def _capital(words: str) -> str:
@@ -240,7 +206,7 @@ def _nothing() -> ParameterChange:
         "The fitted values differ from the nominal ones by no more than their uncertainty and the "
         f"±{100 * HALF_WIDTH * NOMINAL:.0f} % (95 %) to which any nominal value is known, all taken together."
     )
-    return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), 0.0, words)
+    return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), words)
 
 
 def _solve(hypothesis: _Hypothesis, whitened_axes: np.ndarray, moved: np.ndarray) -> _Solution:

@@ -60,19 +60,9 @@ class Witness:
     asserted: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """What the witnesses together say of an effect that they find probable.
-
-    Attributes:
-        shown: its probability and its parameters.
-        specs: of these parameters, by symbol, with their bounds.
-        odds: log-odds of what the witnesses have in its place otherwise.
-    """
-
-    shown: Shown
-    specs: Mapping[str, Bounded]
-    odds: float
+Judged = tuple[Shown, Mapping[str, Bounded], float]
+"""What the witnesses together say of an effect that they find probable: how probable it is and its parameters, these
+with their bounds by symbol, and the log-odds of what the witnesses have in its place otherwise."""
 
 
 def judged_by_all(robot: WholeRobot) -> dict[str, Answer]:
@@ -167,7 +157,7 @@ def _judged(
         return None
     ends = parameters_of(richer, each[first].effect)
     specs = {s: i.spec for s, i in brought(richer.system, *each[first].effect).items() if s in ends}
-    return Judged(Shown(sure, ends), specs, odds)
+    return Shown(sure, ends), specs, odds
 
 
 def _starts(
@@ -232,13 +222,14 @@ def _to_the_end(fits: Fits, tasks: Sequence[Task]) -> FittedModel | None:
 
 def _step(answer: Answer, rest: FittedModel, witness: Witness, judged: Judged) -> SelectionStep | None:
     """The selection step by which a joint has the effect, of the size that all have found; None where it cannot."""
+    shown, specs, against = judged
     own, other = (_with(rest, witness, one) for one in (witness.model, witness.rival))
     if own is None:
         return None
 
     def sized(one: FittedModel) -> FittedModel:
         infos = brought(one.system, *witness.effect)
-        fixed = {infos[s].name: replace(spec, estimate=False) for s, spec in judged.specs.items()}
+        fixed = {infos[s].name: replace(spec, estimate=False) for s, spec in specs.items()}
         return one.at(one.system.with_specs(fixed))
 
     before = _from_both(answer.fits, rest, witness.before)
@@ -247,8 +238,8 @@ def _step(answer: Answer, rest: FittedModel, witness: Witness, judged: Judged) -
         return None
     rival = other and witness.rival and _from_both(answer.fits, other, witness.rival)
     rivals = [rival] if rival else []
-    odds = (0.0, *(judged.odds for _ in rivals))
-    return SelectionStep(before, (model, *rivals), swap=True, odds=odds, shown=judged.shown)
+    odds = (0.0, *(against for _ in rivals))
+    return SelectionStep(before, (model, *rivals), swap=True, odds=odds, shown=shown)
 
 
 def _from_both(fits: Fits, start: FittedModel, known: FittedModel) -> FittedModel | None:

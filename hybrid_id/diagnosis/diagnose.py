@@ -102,13 +102,13 @@ def diagnose(
         InputError: no train record, or the nominal model cannot be fitted to them.
         KeyboardInterrupt: stopped before the search has found anything.
     """
-    measured, answer = answered(
+    answer = answered(
         dataset, system, horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed,
         kept=kept, progress=progress,
     )  # fmt: skip
     if progress is not None:
         progress("test records", 0, 1)
-    return reported(measured, system, answer, seed=seed, level=level)
+    return reported(answer, system, seed=seed, level=level)
 
 
 def answered(
@@ -121,61 +121,33 @@ def answered(
     seed: int = 0,
     kept: Kept | None = None,
     progress: Progress | None = None,
-) -> tuple[Measured, Answer]:
-    """Stages measure to freeze of :func:`diagnose`, whose arguments these are: the test records stay closed."""
+) -> Answer:
+    """Stages measure to freeze of :func:`diagnose`, whose arguments these are: the test records stay closed.
+
+    Raises:
+        InputError: see there.
+    """
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
     say("nominal model", 0, 1)
     system = within_reach(system)
-    measured = measure(dataset, system, horizon=horizon, jobs=jobs, kept=kept)
+    # stage measure: skew taken out of the records, these thinned, and the nominal model re-fitted
+    skews = tuple(find_skews(dataset))
+    dataset = dataset.without_skew({one.channel: one.late for one in skews})
+    fits = Fits(thinned(dataset, system), jobs=jobs, kept=kept)
+    fits = fits if horizon is None else fits.over(horizon)
+    base = fits.base(system)
     fits, found = search(
-        measured.fits,
-        measured.base,
+        fits,
+        base,
         system,
         choose_horizon=horizon is None,
         max_effects=max_effects,
         progress=progress,
     )
     say("location", 0, 1)
-    return measured, freeze(fits, found, system, seed=seed)
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What is known before any effect is tried.
-
-    Attributes:
-        dataset: all records, their channels shifted to one time.
-        skews: channels that were recorded late against others.
-        fits: fits models to the train records, thinned where that loses nothing.
-        base: the nominal model, re-fitted to them: how far it is from the records is the gap.
-    """
-
-    dataset: Dataset
-    skews: tuple[Skew, ...]
-    fits: Fits
-    base: FittedModel
-
-
-def measure(
-    dataset: Dataset,
-    system: System,
-    *,
-    horizon: Horizon | None = None,
-    jobs: int = 1,
-    kept: Kept | None = None,
-) -> Measured:
-    """Stage measure: take skew out of the records, thin them, and re-fit the nominal model; arguments as `diagnose`.
-
-    Raises:
-        InputError: the nominal model cannot be fitted.
-    """
-    skews = find_skews(dataset)
-    dataset = dataset.without_skew({one.channel: one.late for one in skews})
-    fits = Fits(thinned(dataset, system), jobs=jobs, kept=kept)
-    fits = fits if horizon is None else fits.over(horizon)
-    return Measured(dataset, tuple(skews), fits, fits.base(system))
+    return freeze(dataset, skews, fits, found, system, seed=seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +157,9 @@ class Answer:
     Of one joint of a robot it is frozen once more where all joints say otherwise.
 
     Attributes:
-        fits: holds the records and their horizon.
+        dataset: all records, their channels shifted to one time.
+        skews: channels that were recorded late against others.
+        fits: holds the records that models were fitted to, thinned where that loses nothing, and their horizon.
         searched: the search.
         found: the same with what is asserted alone, its models fitted to train and validation records.
         grade: shares, probabilities, what remains.
@@ -199,6 +173,8 @@ class Answer:
             nothing is named; 0 elsewhere.
     """
 
+    dataset: Dataset
+    skews: tuple[Skew, ...]
     fits: Fits
     searched: Selection
     found: Selection
@@ -406,7 +382,9 @@ def _differing(fits: Fits, model: FittedModel, system: System) -> PerRecord | No
     return own if own is not None and own.explained else None
 
 
-def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
+def freeze(
+    dataset: Dataset, skews: tuple[Skew, ...], fits: Fits, found: Selection, system: System, *, seed: int = 0
+) -> Answer:
     """Freeze the answer, once all that is selected is sure enough to be asserted.
 
     Of one joint of a robot, only what all of its joints say may change it again (:func:`frozen_again`).
@@ -460,7 +438,21 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     ]
     nominal, refit = both
     wrong = nominal is not None and refit is not None and nominal.nrmse >= CRITERIA.wrong_values * refit.nrmse
-    return Answer(fits, searched, found, graded, before, after, structural, varying, rejected, wrong, std)
+    return Answer(
+        dataset,
+        skews,
+        fits,
+        searched,
+        found,
+        graded,
+        before,
+        after,
+        structural,
+        varying,
+        rejected,
+        wrong,
+        std,
+    )
 
 
 def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -469,7 +461,8 @@ def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: i
     But for what the robot has chosen instead.
     """
     unsure = tuple(name for name in answer.found.unsure if name not in searched.chosen.effects)
-    again = freeze(answer.fits, replace(searched, unsure=unsure), system, seed=seed)
+    searched = replace(searched, unsure=unsure)
+    again = freeze(answer.dataset, answer.skews, answer.fits, searched, system, seed=seed)
     chosen = [_in_words(name) for name in again.found.chosen.effects]
     words = {**answer.rejected, **again.rejected}
     return replace(again, rejected={one: record for one, record in words.items() if one not in chosen})
@@ -492,14 +485,12 @@ def _unheld(found: Selection, nominal: System) -> Selection:
     return replace(found, base=base, chosen=base if found.chosen is found.base else free(found.chosen))
 
 
-def reported(
-    measured: Measured, system: System, answer: Answer, *, seed: int = 0, level: float = 0.95
-) -> Diagnosis:
+def reported(answer: Answer, system: System, *, seed: int = 0, level: float = 0.95) -> Diagnosis:
     """Stages test and report of :func:`diagnose`: all that a diagnosis shows and writes, in one object.
 
     The test records are opened once, to measure the gap before and after over the horizon of the fits.
     """
-    dataset, found, graded, fits = measured.dataset, answer.found, answer.grade, answer.fits
+    dataset, found, graded, fits = answer.dataset, answer.found, answer.grade, answer.fits
     base, chosen = found.base, found.chosen
     models = ((system, engine()), (base.system, base.result.engine), (chosen.system, chosen.result.engine))
     nominal, first, last = (errors(dataset, one, how, horizon=fits.horizon) for one, how in models)
@@ -581,7 +572,7 @@ def reported(
         disturbances_before=tuple(disturbances(fits, base)) if named_joint else (),
         relative_std=answer.relative_std,
         changes=changes,
-        skews=tuple(one.message for one in measured.skews),
+        skews=tuple(one.message for one in answer.skews),
         tally=copy.deepcopy(fits.tally),  # details that are asked for later count nowhere
         search=found,
         details=Details(fits, system, found.fitted, answer.before, last, seed=seed, level=level),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,9 +16,9 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.model import FittedModel, Name, Tally, Unfitted, kept_model
+from hybrid_id.diagnosis.model import FittedModel, Name, Tally, Unfitted
 from hybrid_id.diagnosis.plausibility import NUISANCE
-from hybrid_id.diagnosis.validation import autocorrelation, mean_square, validation
+from hybrid_id.diagnosis.validation import Validation, autocorrelation, mean_square, validation
 from hybrid_id.errors import InputError, MachineError, shortened
 from hybrid_id.identification.finite_differences import (
     STEPS,
@@ -30,7 +30,7 @@ from hybrid_id.identification.finite_differences import (
 )
 from hybrid_id.identification.fit import fit, kept_fit, make_bounds
 from hybrid_id.identification.horizons import WHOLE, Horizon, astray, settled
-from hybrid_id.identification.keep import Kept
+from hybrid_id.identification.keep import Arrays, Kept, pack_result, same_but_for_values, unpack_result
 from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
 from hybrid_id.identification.restarts import confirmed, perturbed_restarts
@@ -335,8 +335,24 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
     asked = (fits.horizon, fits.dataset.signal_share, fits.weights, task, iterations, halting, fits.engine)
     made_from = (records, *asked, CRITERIA.white, CRITERIA.coloured)
-    make = partial(_fit, fits, task, iterations, halting)
-    return kept_model(fits.kept, made_from, task.effects, task.system, make)
+
+    def pack(model: FittedModel | Unfitted) -> Arrays | None:
+        if isinstance(model, Unfitted):
+            return {"reason": np.array(model.reason)}
+        if not same_but_for_values(model.result, task.system):
+            return None
+        seen = vars(model.validation) | {"judged": model.judged}
+        return pack_result(model.result) | {name: np.asarray(value) for name, value in seen.items()}
+
+    def unpack(arrays: Mapping[str, np.ndarray]) -> FittedModel | Unfitted:
+        if "reason" in arrays:
+            return Unfitted(task.effects, str(arrays["reason"]))
+        seen = Validation(
+            arrays["blocks"], arrays["sizes"], arrays["row"], float(arrays["effective"]), arrays["record"]
+        )
+        return FittedModel(task.effects, unpack_result(arrays, task.system), seen, bool(arrays["judged"]))
+
+    return fits.kept.of(made_from, partial(_fit, fits, task, iterations, halting), pack, unpack)
 
 
 def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | Unfitted:

@@ -96,11 +96,6 @@ class Grade:
     beyond_floor: float
     coloured: bool = True
 
-    @property
-    def explained(self) -> float:
-        """Share of the gap that the selected effects explain."""
-        return sum(c.share or 0.0 for c in self.effects if c.selected)
-
 
 def behind_play(model: FittedModel) -> bool:
     """Whether a model has play, behind which nobody has measured where the link is."""

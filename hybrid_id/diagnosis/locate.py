@@ -190,17 +190,14 @@ def disturbances(fits: Fits, model: FittedModel) -> list[Disturbance]:
             sides = {"joint": min(sides.values(), key=np.mean)}  # one encoder identifies no side
         left |= {(joint.name, side): rest for side, rest in sides.items()}
     least = min(left.values(), key=np.mean)
-    found = [
-        Disturbance(*place, 1.0 - float(rest.mean()), _surplus(rest, least)) for place, rest in left.items()
-    ]
+    found = []
+    for place, rest in left.items():
+        # what is left in a window beyond the least, relative to both
+        surplus = (rest - least) / np.maximum(rest + least, 1e-300)
+        spread = float(surplus.std()) / np.sqrt(len(surplus))
+        behind = float(surplus.mean()) / spread if spread > 0 else 0.0
+        found.append(Disturbance(*place, 1.0 - float(rest.mean()), behind))
     return sorted(found, key=lambda one: -one.share)
-
-
-def _surplus(rest: np.ndarray, least: np.ndarray) -> float:
-    """By how many standard errors the mean of what is left in a window exceeds the least, relative to both."""
-    surplus = (rest - least) / np.maximum(rest + least, 1e-300)
-    spread = float(surplus.std()) / np.sqrt(len(surplus))
-    return float(surplus.mean()) / spread if spread > 0 else 0.0
 
 
 def acts_at(found: Sequence[Disturbance]) -> tuple[str | None, str | None]:

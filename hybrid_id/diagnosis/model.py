@@ -1,19 +1,15 @@
-"""A model with some effects added, fitted to the train records, and how a folder keeps it."""
+"""A model with some effects added, fitted to the train records."""
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import norm, t
 
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.validation import Validation, autocorrelation, mean_square
-from hybrid_id.identification.keep import Arrays, Kept, pack_result, same_but_for_values, unpack_result
 from hybrid_id.identification.result import FitResult
 from hybrid_id.systems.chain import System
 
@@ -115,59 +111,7 @@ class Tally:
     tried: int = 0
     failed: Counter[Unfitted] = field(default_factory=Counter)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a file, the most frequent failure first."""
-        return {
-            "tried": self.tried,
-            "failed": self.failed.total(),
-            "reasons": [
-                {"effects": [list(name) for name in one.effects], "reason": one.reason, "count": count}
-                for one, count in self.failed.most_common()
-            ],
-        }
-
 
 def added_effect(richer: FittedModel, simpler: FittedModel) -> Name:
     """The effect that a model has beyond another one."""
     return next(name for name in richer.effects if name not in simpler.effects)
-
-
-def kept_model(
-    kept: Kept,
-    made_from: object,
-    effects: tuple[Name, ...],
-    start: System,
-    fit: Callable[[], FittedModel | Unfitted],
-) -> FittedModel | Unfitted:
-    """A fitted model: read if it is kept, otherwise made and kept.
-
-    Args:
-        kept: where the fits are.
-        made_from: all that decides it.
-        effects: of the model.
-        start: the system that the fit starts from.
-        fit: makes it, or says why it cannot be fitted.
-    """
-
-    def pack(model: FittedModel | Unfitted) -> Arrays | None:
-        if isinstance(model, Unfitted):
-            return {"reason": np.array(model.reason)}
-        if not same_but_for_values(model.result, start):
-            return None
-        seen = model.validation
-        more = {"effective": seen.effective, "judged": model.judged}
-        return pack_result(model.result) | {
-            "more": np.array(json.dumps(more)), "blocks": seen.blocks, "sizes": seen.sizes, "row": seen.row,
-            "record": seen.record,
-        }  # fmt: skip
-
-    def unpack(arrays: Mapping[str, np.ndarray]) -> FittedModel | Unfitted:
-        if "reason" in arrays:
-            return Unfitted(effects, str(arrays["reason"]))
-        more = json.loads(str(arrays["more"]))
-        seen = Validation(
-            arrays["blocks"], arrays["sizes"], arrays["row"], more["effective"], arrays["record"]
-        )
-        return FittedModel(effects, unpack_result(arrays, start), seen, more["judged"])
-
-    return kept.of(made_from, fit, pack, unpack)

@@ -315,7 +315,11 @@ def _simulated(
         batch = make_batch(system, commanded, outputs=list(noise), noise_std=noise)
         run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
         seen = [dict(zip(noise, outputs.T.numpy(), strict=True)) for outputs in run.y]
-        able -= {k for k, outputs in enumerate(seen) if not _within(limits, outputs)}
+        for k, outputs in enumerate(seen):
+            for name, values in outputs.items():
+                low, high = limits.get(name, (-np.inf, np.inf))
+                if not (np.isfinite(values).all() and low <= values.min() and values.max() <= high):
+                    able.discard(k)
         inputs = [one.inputs for one in commanded]
         if offer.loop is not None:
             tau = offer.loop.torque(system, offer.joint.number, run.x, offer.experiments)
@@ -465,12 +469,3 @@ def _limits(dataset: Dataset, system: System) -> dict[str, tuple[float, float]]:
                     min(been.max() + near, max(high, been.max())),
                 )
     return found
-
-
-def _within(limits: Mapping[str, tuple[float, float]], outputs: Mapping[str, np.ndarray]) -> bool:
-    """Whether a run is finite, and inside the limits."""
-    anywhere = -np.inf, np.inf
-    return all(
-        np.isfinite(values).all() and low <= values.min() and values.max() <= high
-        for values, (low, high) in ((values, limits.get(name, anywhere)) for name, values in outputs.items())
-    )

@@ -151,22 +151,31 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
     if not unsure or len(robot.dataset.train) < 2:
         return _rated(answers, {})
+
+    def values(models: Mapping[str, FittedModel], near: OwnValues | None = None) -> OwnValues | None:
+        # fitted from where the models stand, or from where other fits of the robot have ended, as far as these go
+        effects = [name for one in models.values() for name in one.effects]
+        system = robot.system(models)
+        if near is not None:
+            system = with_values_of(system, near.common.system) or system
+        return own_values(robot.records, system, effects, robot.horizon, robot.kept)
+
     # without any effect first: that robot is one program, and often explains most joints
-    plain = _own_values(robot, {name: one.searched.base for name, one in answers.items()})
+    plain = values({name: one.searched.base for name, one in answers.items()})
     nothing = [name for name in unsure if plain is not None and plain.nothing_left(*robot.keys(name))]
     chosen |= {name: answers[name].searched.base for name in nothing}
-    now = plain if not any(one.effects for one in chosen.values()) else _own_values(robot, chosen)
+    now = plain if not any(one.effects for one in chosen.values()) else values(chosen)
     claimed = {
         name: [(e.name, e.where) for e in answers[name].grade.effects if e.selected] for name in unsure
     }
     for name, effect in _smallest_first(answers, claimed):
         models = without_effect(robot, chosen, name, effect) if effect in chosen[name].effects else None
-        bare = None if models is None else _own_values(robot, models)
+        bare = None if models is None else values(models)
         if models is None or bare is None or now is None:
             continue
         # the simpler robot errs less on its own records: the richer fit has not found its best
         if bare.common.cost < now.common.cost:
-            again = _own_values(robot, chosen, bare)
+            again = values(chosen, bare)
             now = now if again is None or again.common.cost > now.common.cost else again
         # what acts on all joints stands by the one that it helps
         if any(
@@ -174,7 +183,7 @@ def borne_out(robot: WholeRobot) -> dict[str, Answer]:
         ):
             continue
         left = chosen | {name: models[name]}
-        after = bare if models == left else _own_values(robot, left)
+        after = bare if models == left else values(left)
         if after is not None:
             chosen, now = left, after
     found = dict(answers)
@@ -212,17 +221,3 @@ def _rated(answers: Mapping[str, Answer], left: Mapping[str, float]) -> dict[str
         name: replace(one, grade=of_robot(one.grade, one.searched.refuted, left.get(name, 1.0)))
         for name, one in answers.items()
     }
-
-
-def _own_values(
-    robot: WholeRobot, models: Mapping[str, FittedModel], near: OwnValues | None = None
-) -> OwnValues | None:
-    """Each record's own values of the robot with these models of the joints, by name.
-
-    Fitted from where the models stand, or from where other fits of the robot have ended, as far as these go.
-    """
-    effects = [name for one in models.values() for name in one.effects]
-    system = robot.system(models)
-    if near is not None:
-        system = with_values_of(system, near.common.system) or system
-    return own_values(robot.records, system, effects, robot.horizon, robot.kept)

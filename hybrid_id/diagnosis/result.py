@@ -251,7 +251,6 @@ class Diagnosis:
             "between_record_variation": list(self.varying),
             "not_identifiable": [*self.not_identifiable, *self.confounded],
             "skews": list(self.skews),
-            "fits": self.tally.as_dict(),
             "extrapolation": list(self.extrapolation),
             "next_experiments": [
                 {

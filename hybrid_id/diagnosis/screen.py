@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 from scipy.stats import norm
@@ -386,9 +387,8 @@ def better_ways(some: Sequence[FittedModel], ends: Sequence[FittedModel | None])
     return list(found.values())
 
 
-def effects_of(one: FittedModel) -> tuple[Name, ...]:
-    """A candidate's effects, whatever their shape."""
-    return one.effects
+effects_of = attrgetter("effects")
+"""A candidate's effects, whatever their shape."""
 
 
 def shape_of(one: FittedModel) -> tuple[object, ...]:
@@ -397,11 +397,6 @@ def shape_of(one: FittedModel) -> tuple[object, ...]:
     fixed = {f"{where}/{kind}": law.shape for law, where in laws if law.shape for kind in law.kinds}
     shape = (i for i in one.system.table if i.symbol in fixed.get(i.component, ()) and not i.spec.estimate)
     return one.effects, tuple(i.spec.value for i in shape)
-
-
-def trained(one: FittedModel) -> float:
-    """By the errors of the fit itself, as long as fits of different stages are compared."""
-    return one.trained
 
 
 def by_prediction(one: FittedModel) -> tuple[bool, float]:
@@ -413,7 +408,7 @@ def best_of_each(
     found: Sequence[FittedModel],
     each: int = 1,
     key: Callable[[FittedModel], object] = shape_of,
-    order: Callable[[FittedModel], Any] = trained,
+    order: Callable[[FittedModel], Any] = attrgetter("trained"),
 ) -> list[FittedModel]:
     """The best fits of each set of effects, best first; of those that have come to the same end only one, fitted to it.
 
@@ -421,7 +416,7 @@ def best_of_each(
         found: fits.
         each: so many of each set.
         key: what counts as one set; by default every shape does.
-        order: by which they are ranked.
+        order: by which they are ranked; by default the errors of the fit itself, which all stages have.
     """
     ends: dict[object, list[int]] = {}
     best: list[FittedModel] = []

@@ -45,37 +45,32 @@ def thinned(dataset: Dataset, system: System) -> Dataset:
     if most < 2:
         return dataset
     whole = batch_of(dataset, system, dataset.train)
-    run = _run(system, whole)
+
+    def outputs(batch: Batch) -> np.ndarray:
+        # of the nominal model's free runs of whole records, (R, T, n_y)
+        return simulate(system, with_substeps(system, engine(), batch), batch).y.numpy()
+
+    run = outputs(whole)
     for factor in range(most, 1, -1):
-        found = [resample_record(record, factor * step) for record in dataset.records]
-        one = replace(dataset, records=tuple(record for record, _ in found), sample_time=factor * step)
-        left = [
-            report.lost for (_, report), record in zip(found, dataset, strict=True) if record.role == "train"
-        ]
+        resampled = [resample_record(record, factor * step) for record in dataset.records]
+        coarse = replace(dataset, records=tuple(record for record, _ in resampled), sample_time=factor * step)
         # whether what the longer steps do not carry of each output is within its noise
-        weight = whole.weight.amax(1).numpy()
-        lost = np.array([[one.get(name, 0.0) for name in whole.outputs] for one in left])
-        if (
-            bool((lost * weight <= CARRIED).all())
-            and _moved(system, one, whole, run, factor) <= CRITERIA.negligible
-        ):
-            return one
+        left = [
+            [report.lost.get(name, 0.0) for name in whole.outputs]
+            for (_, report), record in zip(resampled, dataset, strict=True)
+            if record.role == "train"
+        ]
+        if not bool((np.array(left) * whole.weight.amax(1).numpy() <= CARRIED).all()):
+            continue
+        # RMS difference, in noises, of the free runs at longer steps from the same first states
+        short = batch_of(coarse, system, coarse.train)
+        x = short.x.clone()
+        x[:, 0] = whole.x[:, 0]
+        other = outputs(replace(short, x=x))
+        samples = min(other.shape[1], -(-run.shape[1] // factor))
+        kept = slice(0, factor * samples, factor)
+        weight = whole.weight.numpy()[:, kept] * (short.weight.numpy()[:, :samples] > 0)
+        miss = (other[:, :samples] - run[:, kept]) * weight
+        if np.sqrt(np.square(miss).sum() / max((weight > 0).sum(), 1)) <= CRITERIA.negligible:
+            return coarse
     return dataset
-
-
-def _run(system: System, batch: Batch) -> np.ndarray:
-    """Outputs of the free runs of whole records, ``(R, T, n_y)``."""
-    return simulate(system, with_substeps(system, engine(), batch), batch).y.numpy()
-
-
-def _moved(system: System, one: Dataset, whole: Batch, run: np.ndarray, factor: int) -> float:
-    """RMS difference, in noises, of the nominal model's free runs at longer steps from the same first states."""
-    short = batch_of(one, system, one.train)
-    x = short.x.clone()
-    x[:, 0] = whole.x[:, 0]
-    other = _run(system, replace(short, x=x))
-    samples = min(other.shape[1], -(-run.shape[1] // factor))
-    kept = slice(0, factor * samples, factor)
-    weight = whole.weight.numpy()[:, kept] * (short.weight.numpy()[:, :samples] > 0)
-    miss = (other[:, :samples] - run[:, kept]) * weight
-    return float(np.sqrt(np.square(miss).sum() / max((weight > 0).sum(), 1)))

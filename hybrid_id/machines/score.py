@@ -1,7 +1,6 @@
 """Diagnoses held against their ground truth, the scores of many, each with its interval, and the targets set before."""
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ Truth = Mapping[str, Any]
 Said = Mapping[str, Any]
 """The content of a ``diagnosis.json``."""
 SOUND = ("none", "parameters")
-"""Families whose structure is right; in those of earlier generators, ``none`` has wrong values, too."""
+"""Families whose structure is right."""
 LINK = ("link_friction", "load")
 """Places on the link's side of a gear."""
 RIGHT, WRONG = 1.05, 1.2
@@ -27,10 +26,9 @@ class Judged:
 
     Attributes:
         case: its name.
-        family, level, system: of the case.
+        family, level: of the case.
         realism: clean, messy or arms.
         effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
-        records: train records that the diagnosis had.
         broken: why there is no diagnosis, empty where there is one.
         seconds, processor: time that the diagnosis took, and of the processors.
         said: what it stands by, in one word: an effect's name (that of the answer where it is accepted), ``unknown``,
@@ -65,10 +63,8 @@ class Judged:
     case: str
     family: str
     level: str
-    system: str
     realism: str
     effect: str
-    records: int
     broken: str
     seconds: float
     said: str
@@ -186,10 +182,8 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         case=case,
         family=family,
         level=str(answers["level"]),
-        system=str(run.get("system") or answers.get("made_by", {}).get("system", "")),
         realism=realism,
         effect="+".join(t["name"] for t in leading) or "none",
-        records=int(run.get("train_records", 0)),
         broken=broken,
         seconds=float(run.get("seconds", math.nan)),
         processor=float(run.get("processor_seconds", math.nan)),
@@ -230,8 +224,6 @@ def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float
     The true share is what an effect closes after those that are named before it, of the gap on the train records, as
     the claimed one is. The answers know it alone, and after all larger ones; of two dominant effects either may lead.
     """
-    if not all("share_train" in one for one in truth):
-        return (), None  # answers of an earlier generator
     matched = [next((t for t in truth if _right(e, t)), None) for e in chosen]
     errors, covered = [], None
     for k, (said, own) in enumerate(zip(chosen, matched, strict=True)):
@@ -250,7 +242,7 @@ def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float
 
 LEVEL = 0.95
 BINS = 10
-"""Bins of the reliability curve, of equal count."""
+"""Bins of the calibration, of equal count."""
 TRIVIAL, SURE = 0.02, 0.95
 """Probability below which absent names are left out of the calibration, and from which a claim is sure."""
 Score = dict[str, Any]
@@ -268,11 +260,7 @@ BAD = ("false_alarms", "false_unknown", "broken")
 """Shares where fewer is better."""
 GROUPS: Mapping[str, Callable[[Judged], str]] = {
     "family": lambda one: one.family,
-    "level": lambda one: one.level,
     "family and level": lambda one: f"{one.family}, {one.level}",
-    "system": lambda one: one.system,
-    "train records": lambda one: str(one.records or ""),
-    "effect": lambda one: one.effect,
 }
 
 
@@ -283,7 +271,7 @@ def scores(judged: Sequence[Judged]) -> dict[str, Any]:
         judged: its cases.
 
     Returns:
-        Plain data: ``all``; ``by`` dimension and group; ``confusion``; ``reliability``.
+        Plain data: ``all``; ``by`` dimension and group; ``reliability``.
     """
     by: dict[str, dict[str, Any]] = {}
     for name, key in GROUPS.items():
@@ -292,7 +280,6 @@ def scores(judged: Sequence[Judged]) -> dict[str, Any]:
     return {
         "all": figures(judged),
         "by": by,
-        "confusion": confusion(judged),
         "reliability": reliability(_claims(judged)),
     }
 
@@ -377,34 +364,14 @@ def reliability(claims: Sequence[tuple[float, bool]]) -> dict[str, Any]:
     Args:
         claims: claimed probability and truth of each claim.
     """
-    bins, error = [], 0.0
+    error = 0.0
     ordered = sorted(claims, key=lambda claim: claim[0])
     for own in np.array_split(np.arange(len(ordered)), BINS):
         if len(own):
-            claimed = float(np.mean([ordered[k][0] for k in own]))
-            seen = share([ordered[k][1] for k in own])
-            bins.append({"claimed": claimed, **seen})
-            error += len(own) / len(claims) * abs(claimed - seen["value"])
+            claimed, seen = (float(np.mean([ordered[k][side] for k in own])) for side in (0, 1))
+            error += len(own) / len(claims) * abs(claimed - seen)
     brier = float(np.mean([(p - right) ** 2 for p, right in claims])) if claims else None
-    return {"bins": bins, "expected_error": error if claims else None, "brier": brier, "n": len(claims)}
-
-
-def confusion(judged: Sequence[Judged]) -> dict[str, Any]:
-    """Counts of what was said (columns) for what was at work (rows), pairs apart.
-
-    An accepted equivalent counts as the effect itself.
-    """
-    pairs = Counter(
-        (one.family if one.family in ("none", "unknown") else one.effect, one.said)
-        for one in judged
-        if one.family != "pair"
-    )
-    last = ("none", "unknown", "broken")
-    rows = {row for row, _ in pairs}
-    effects = sorted((rows | {said for _, said in pairs}) - set(last))
-    names = [*[e for e in effects if e in rows], *[e for e in ("none", "unknown") if e in rows]]
-    columns = [*effects, *[e for e in last if any(said == e for _, said in pairs)]]
-    return {"rows": names, "columns": columns, "counts": [[pairs[(r, c)] for c in columns] for r in names]}
+    return {"expected_error": error if claims else None, "brier": brier, "n": len(claims)}
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from browser import look_at
 from gapcase import only, small_case
 from typer.testing import CliRunner
 
@@ -77,15 +76,8 @@ def test_run_is_scored(home: Path) -> None:
     stribeck = content["methods"]["stribeck"]["scores"]["all"]
     assert stribeck["top_1"]["value"] == 0 and stribeck["false_alarms"]["value"] == 1
     assert stribeck["broken"]["wrong"] == ["c003"]
-    assert {"confusion.png", "reliability.png", "report.html", "scoreboard.md"} <= {
-        p.name for p in runs.iterdir()
-    }
     text = (runs / "scoreboard.md").read_text()
     assert text.startswith("# 2") and text.count(", seed 5\n") == 1
-    page = (runs / "report.html").read_text()
-    assert "bic meets " in page
-    assert "Over all cases: the right effect first" in page
-    look_at(runs / "report.html", home, figures=2)
 
 
 def test_answers_within_reach_and_other_answers_are_refused(home: Path) -> None:
@@ -108,7 +100,7 @@ def test_cases_that_were_changed_after_they_were_sealed_are_refused(home: Path) 
     call("run", cases, "--out", home / "runs", "--method", "bic", fails="c002 does not hold the files")
 
 
-def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
+def test_an_unfinished_run_is_not_scored(home: Path) -> None:
     cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
     (runs / "stribeck" / ".half").mkdir(
         parents=True
@@ -116,7 +108,6 @@ def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
     call("run", cases, "--out", runs, "--method", "stribeck")
     (runs / "stribeck" / "c002" / "diagnosis.json").unlink()
     call("score", runs, "--answers", archive, fails="lacks 1 of 3 cases")
-    assert "2 of 3 cases scored" in call("score", runs, "--answers", archive, "--partial")
 
 
 def test_parts_are_scored_together(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +192,6 @@ def test_another_program_takes_part(home: Path) -> None:
     scores = json.loads((runs / "scores.json").read_text())["methods"]["external"]["scores"]["all"]
     assert (scores["top_1"]["value"], scores["top_1"]["n"]) == (1.0, 1)
     call(*theirs, fails="belong together")
-    call(*theirs, *command, "--train-records", 2, fails="takes cases as they are")
     assert "2 of 3 cases broke" in call(*theirs, *command)
     program.write_text("# another version\n" + program.read_text())
     assert "kept from before" not in call(*theirs, *command)

@@ -258,6 +258,6 @@ def test_what_vague_records_leave_open_is_said() -> None:
     truth, told = changed(TILTED, J=1.15, G_l=1.3), []
     for seed in range(20):
         found = find_change(TILTED, pretended(TILTED, truth, error=0.05, unseen=SCALE, seed=seed))
-        told.append(found.name in ("load", "none", "several") or "load" in found.indistinguishable_from)
-        assert not found.indistinguishable_from or "indistinguishable in these records" in found.words
+        alike = found.words.partition("indistinguishable in these records from a change of")[2]
+        told.append(found.name in ("load", "none", "several") or "load" in alike)
     assert sum(told) >= 18

@@ -69,7 +69,7 @@ def test_a_tilt_that_two_joints_claim_is_not_refuted_by_the_other_claim(nominal:
     with only("base_tilt"):
         for name, number in (("lift", 1), ("elbow", 2)):
             own = alone(nominal, number)
-            answers[name] = answered(with_others_measured(dataset, nominal, number), own, max_effects=1)[1]
+            answers[name] = answered(with_others_measured(dataset, nominal, number), own, max_effects=1)
         assert all(one.found.chosen.effects for one in answers.values())
         kept = borne_out(WholeRobot(dataset, nominal, answers, WHOLE))
     assert kept["lift"].found.chosen.effects
@@ -119,7 +119,7 @@ def test_what_only_looks_missing_is_refuted_by_the_whole_robot(nominal: System) 
     dataset = days_of([nominal.with_values({"F_c_elbow": friction}) for friction in FRICTIONS])
     one = alone(nominal, 2)
     with only("spring_load", "constant_torque"):
-        answer = answered(with_others_measured(dataset, nominal, 2), one)[1]
+        answer = answered(with_others_measured(dataset, nominal, 2), one)
         with_spring = answer.fits.run([Task((SPRINGY,), one.with_component("joint3/load", SPRING))], FULL)[0]
         assert with_spring is not None
         claimed = RatedEffect(*SPRINGY, 0.97, True, (), {})

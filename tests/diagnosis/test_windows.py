@@ -9,6 +9,7 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis import starts
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.fits import Fits, engine
+from hybrid_id.diagnosis.thinning import thinned
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -66,8 +67,8 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
     monkeypatch.setattr(module, "LENGTHS", (0.3,))
     few = ("spring_load", "thermal_derating", "stribeck_friction")
     monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
-    measured = module.measure(dataset, nominal)
-    fits, found = module.search(measured.fits, measured.base, nominal, max_effects=1)
+    whole = Fits(thinned(dataset, nominal))
+    fits, found = module.search(whole, whole.base(nominal), nominal, max_effects=1)
     assert (fits.horizon.kind, fits.horizon.seconds) == ("windows", 0.3)
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
     assert all(len(e.result.residual) > len(dataset.train) for e in (found.base, found.chosen))

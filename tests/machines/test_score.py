@@ -8,7 +8,6 @@ import pytest
 from hybrid_id.machines.score import (
     Judged,
     against_targets,
-    confusion,
     figures,
     judge,
     median,
@@ -40,7 +39,7 @@ def effect(
 def said(
     *effects: dict[str, Any], unknown: bool = False, gap: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    about = {"message": "", "system": "one_link", "train_records": 6, "seconds": 2.0}
+    about = {"message": "", "seconds": 2.0}
     return {"effects": list(effects), "unknown": unknown, "gap": gap or {}, "run": about}
 
 
@@ -69,8 +68,8 @@ OPEN = {"closed": None, "shrink_error": None, "covered": None}
     [
         (STRIBECK, said(RIGHT, gap=GAP),
          HIT | {"top_3": True, "said": "stribeck_friction", "effect": "stribeck_friction", "claims": ((0.9, True),),
-                "shrink_error": pytest.approx(5.0), "covered": True, "closed": pytest.approx(0.9), "system": "one_link",
-                "records": 6, "level": "strong", "false_unknown": False, "false_alarm": None,
+                "shrink_error": pytest.approx(5.0), "covered": True, "closed": pytest.approx(0.9),
+                "level": "strong", "false_unknown": False, "false_alarm": None,
                 "outside": None, "pair": None}),
         # an interval without ends
         (STRIBECK, said(RIGHT, gap=GAP | {"shrink_interval": [None, 1.0]}),
@@ -181,15 +180,10 @@ def test_figures_of_a_group() -> None:
     assert "covered" not in found
 
 
-def test_scores_by_group_and_confusion() -> None:
+def test_scores_by_group() -> None:
     told = scores(cases())
     assert told["by"]["family"]["none"]["cases"]["value"] == 1
     assert told["by"]["family and level"]["single, strong"]["top_1"]["n"] == 4
-    assert told["by"]["train records"]["6"]["cases"]["value"] == 6
-    table = confusion(cases())
-    assert table["rows"] == ["stribeck_friction", "none", "unknown"]
-    assert table["columns"] == ["cogging", "stribeck_friction", "none", "unknown", "broken"]
-    assert table["counts"] == [[1, 2, 0, 0, 1], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
 
 
 def test_wilson_interval() -> None:
@@ -205,11 +199,8 @@ def test_median_and_its_interval() -> None:
     assert median([1.0, 2.0])["low"] is None
 
 
-def test_reliability_over_bins_of_equal_count() -> None:
-    told = reliability([(0.9, True)] * 3 + [(0.9, False)] * 3 + [(0.2, False)] * 4)
-    assert [b["n"] for b in told["bins"]] == [1] * 10
+def test_calibration_over_bins_of_equal_count() -> None:
     told = reliability([(0.9, k % 2 == 0) for k in range(20)] + [(0.1, False)] * 20)
-    assert [b["n"] for b in told["bins"]] == [4] * 10
     assert told["expected_error"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.4)
     assert told["brier"] == pytest.approx((20 * 0.01 + 10 * 0.01 + 10 * 0.81) / 40)
     assert reliability([])["expected_error"] is None
@@ -277,9 +268,6 @@ def test_claimed_shares_are_compared_in_the_order_in_which_they_are_claimed() ->
     swapped = effect("delay", "joint1/input", share=0.45), effect("stribeck_friction", share=0.30)
     assert claims(*swapped) == pytest.approx((0.0, -5.0))
     assert claims(effect("stribeck_friction")) == ()  # a method that tells no shares
-    known: list[dict[str, Any]] = MESSY["effects"]
-    earlier = [{k: v for k, v in e.items() if k != "share_train"} for e in known]
-    assert judge("c1", MESSY | {"effects": earlier}, said(first | {"selected": True})).share_errors == ()
     held = effect("stribeck_friction", selected=True, share=0.55, share_interval=[0.48, 0.6])
     assert judge("c1", MESSY, said(held)).share_covered
     assert judge("c1", MESSY, said(held | {"share_interval": [None, 0.6]})).share_covered is None
