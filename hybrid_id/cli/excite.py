@@ -1,7 +1,7 @@
 """`excite`: an excitation that moves a drive, or all joints of a robot, as much as their limits allow."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -14,8 +14,6 @@ from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError, close_match
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hybrid_id.systems.chain import System
 
 MAX_SAMPLES = 1_000_000
@@ -82,7 +80,6 @@ def excite(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0, max=MOST_SEED)] = 0,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.")] = None,
     force: ForceFilesOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -123,10 +120,6 @@ def excite(
     if file.is_dir():
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     files = files_to_write(file, ".json", force=force)
-    if plot is not None:
-        files_to_write(plot, force=force)
-        if plot.suffix.lower() != ".png" or plot.resolve() == file.resolve():
-            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
     from hybrid_id.records.excitation import STARTS, usual_tones
     from hybrid_id.reporting.results import as_json as as_json_text
     from hybrid_id.study.excitation import STARTS_A_JOINT
@@ -143,18 +136,13 @@ def excite(
         design = _of_drive(system, band, amplitude=amplitude, gear=gear, rest=rest, **asked)
     columns, rows = design.table
     lines = (",".join(f"{value:.9g}" for value in row) for row in rows)
-    contents: dict[Path, str | bytes] = {file: "\n".join([",".join(columns), *lines]) + "\n"}
-    if plot is not None:
-        from hybrid_id.reporting.style import pixels, png
-
-        contents[plot] = png(pixels(design.figure()))
-    named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
+    named = {"file": str(file), "model": model and str(model)}
     text = as_json_text("excite", design.described | asked | named)
-    write_files(contents | {files[1]: f"{text}\n"})
+    write_files({file: "\n".join([",".join(columns), *lines]) + "\n", files[1]: f"{text}\n"})
     if as_json:
         return show(text)
     *lines, size = design.lines
-    show(*lines, f"{size}, in {file}" + (f"; picture in {plot}" if plot else ""))
+    show(*lines, f"{size}, in {file}")
 
 
 class Designed(NamedTuple):
@@ -164,13 +152,11 @@ class Designed(NamedTuple):
         table: names of the columns, and the rows of the CSV.
         described: for the JSON, beside what the command was asked for.
         lines: for the screen; the last one goes on with the file's name.
-        figure: draws the picture.
     """
 
     table: tuple[Sequence[str], Iterable[Iterable[float]]]
     described: dict[str, Any]
     lines: list[str]
-    figure: "Callable[[], Figure]"
 
 
 def _of_drive(
@@ -185,8 +171,7 @@ def _of_drive(
     """Design the multisine of one drive."""
     import numpy as np
 
-    from hybrid_id.records.excitation import design_multisine, usual_crest_factors
-    from hybrid_id.reporting.study_figures import excitation_figure
+    from hybrid_id.records.excitation import design_multisine
 
     parts, lines = [], list[str]()
     if gear is not None and system is not None:
@@ -205,21 +190,17 @@ def _of_drive(
     sample_time = asked["sample_time"]
     quiet = round(rest / sample_time)
     signal = np.concatenate([np.zeros(quiet), design.signal])
-    usual = usual_crest_factors(design, asked["seed"])
     described = {
-        "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
+        "crest_factor": design.crest_factor, "samples": len(signal),
         "rest": sample_time * quiet, "band": band, "amplitude": amplitude, "gear": gear,
         "gear_shares": [{"band": one.band, "share": one.share, "motion": one.motion} for one in parts],
     }  # fmt: skip
     lines += [
         f"{design.message}.",
-        f"Schroeder's phases would give {usual['Schroeder']:.3f}, random phases {usual['random']:.3f} "
-        f"(median), so this signal moves the drive {usual['random'] / design.crest_factor:.2f} times as much within "
-        "the same limits.",
         f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest",
     ]
     rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
-    return Designed((("t", "u1"), rows), described, lines, lambda: excitation_figure(design))
+    return Designed((("t", "u1"), rows), described, lines)
 
 
 def _of_robot(
@@ -231,7 +212,6 @@ def _of_robot(
     **asked: Any,
 ) -> Designed:
     """Design the motion of a robot's joints."""
-    from hybrid_id.reporting.study_figures import arm_excitation_figure
     from hybrid_id.study.excitation import design_arm_motion, joint_limits
 
     if not 0.0 < share <= 1.0:
@@ -278,7 +258,7 @@ def _of_robot(
     ]
     columns = ["t", *(one["column"] for one in joints)]
     rows = ((t, *row) for t, row in zip(design.time, design.position, strict=True))
-    return Designed((columns, rows), described, lines, lambda: arm_excitation_figure(design))
+    return Designed((columns, rows), described, lines)
 
 
 def _by_joint(given: Sequence[str], names: Sequence[str], option: str) -> dict[str, float]:

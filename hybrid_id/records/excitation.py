@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from hybrid_id.errors import InputError
 
@@ -207,62 +208,19 @@ def _least_peak_phases(
 
 
 def _descend(waves: np.ndarray, phases: np.ndarray, powers: Sequence[int], iterations: int) -> np.ndarray:
-    """Levenberg-Marquardt on ``Σ |x|^p`` for rising p, with residuals ``|x|^(p/2)``."""
+    """Least squares on ``Σ |x|^p`` for rising p, with residuals ``|x|^(p/2)`` of the signal over its first peak."""
     for power in powers:
-        damping = 1e-2
-        rotated = waves * np.exp(1j * phases)
-        level, cost = _power_norm(np.real(rotated).sum(axis=1), power)
-        for _ in range(iterations):
+        level = np.abs(np.real(waves @ np.exp(1j * phases))).max()
+
+        def residual(phases: np.ndarray, level: float = level, half: int = power // 2) -> np.ndarray:
+            return np.abs(np.real(waves @ np.exp(1j * phases)) / level) ** half
+
+        def slope(phases: np.ndarray, level: float = level, half: int = power // 2) -> np.ndarray:
+            rotated = waves * np.exp(1j * phases)
             signal = np.real(rotated).sum(axis=1) / level
-            size = np.abs(signal)
-            residual = size ** (power // 2)
-            slope = (power // 2) * np.sign(signal) * size ** (power // 2 - 1)
-            jacobian = -slope[:, None] * np.imag(rotated) / level
-            hessian, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-            diagonal = np.diag(np.diag(hessian) + 1e-12 * np.trace(hessian))
-            for _ in range(8):
-                trial = phases - np.linalg.solve(hessian + damping * diagonal, gradient)
-                trial_rotated = waves * np.exp(1j * trial)
-                trial_level, trial_cost = _power_norm(np.real(trial_rotated).sum(axis=1), power)
-                if trial_cost < cost:
-                    break
-                damping *= 4
-            else:
-                break
-            gain = cost - trial_cost
-            phases, rotated, level, cost = trial, trial_rotated, trial_level, trial_cost
-            damping = max(damping / 6, 1e-9)
-            if gain < 1e-5:
-                break
+            return (
+                -(half * np.sign(signal) * np.abs(signal) ** (half - 1))[:, None] * np.imag(rotated) / level
+            )
+
+        phases = least_squares(residual, phases, slope, method="lm", ftol=1e-5, max_nfev=iterations).x
     return phases
-
-
-def _power_norm(signal: np.ndarray, power: int) -> tuple[float, float]:
-    """Largest magnitude, and logarithm of the p-norm of the signal (scaled: high powers stay finite)."""
-    level = float(np.abs(signal).max())
-    return level, float(np.log(level) + np.log(np.mean((np.abs(signal) / level) ** power)) / power)
-
-
-POINTS = 40  # per period of the highest tone
-DRAWS = 100
-
-
-def crest_factor(signal: np.ndarray) -> float:
-    """Peak over RMS of the alternating part of a signal (T,)."""
-    moving = signal - np.mean(signal)
-    return float(np.max(np.abs(moving)) / np.sqrt(np.mean(moving**2)))
-
-
-def usual_crest_factors(design: Multisine, seed: int = 0) -> dict[str, float]:
-    """Crest factor of the same tones with Schroeder's phases, and the median over random phases.
-
-    Args:
-        design: The multisine; its tones and their amplitudes are kept.
-        seed: Of the random phases.
-    """
-    count = int(np.ceil(POINTS * design.period * design.frequencies[-1]))
-    time = design.period * np.arange(count) / count
-    random = np.random.default_rng(seed).uniform(0, 2 * np.pi, (DRAWS, len(design.frequencies)))
-    drawn = [crest_factor(replace(design, phases=phases).at(time)) for phases in random]
-    schroeder = replace(design, phases=schroeder_phases(design.amplitudes**2)).at(time)
-    return {"Schroeder": crest_factor(schroeder), "random": float(np.median(drawn))}

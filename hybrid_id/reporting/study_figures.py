@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.excitation import Multisine
 from hybrid_id.records.units import stem
 from hybrid_id.reporting.style import (
     COLOURS,
@@ -29,11 +28,9 @@ from hybrid_id.reporting.style import (
     shortened,
     symbol,
 )
-from hybrid_id.reporting.tables import count
 from hybrid_id.statistics.residuals import LEVEL
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
-from hybrid_id.study.excitation import ArmExcitation
 
 MAX_TITLE = 50
 """Characters of a title that leave room for the legend."""
@@ -261,40 +258,6 @@ def comparison_figure(dataset: Dataset, comparison: Comparison, record: str) -> 
     row = comparison.records.index(record)
     replays = {name: replays[row] for name, replays in comparison.replays.items()}
     return _overlay(dataset, replays, f"{record} ({dataset[record].role})")
-
-
-@journal()
-def excitation_figure(design: Multisine) -> Figure:
-    """A designed multisine over time, and the amplitude of its tones."""
-    figure = new_figure(2.3)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 1))
-    left.plot(design.time, design.signal, color=COLOURS[0], lw=0.8)
-    for limit in (design.offset - design.peak, design.offset + design.peak):
-        left.axhline(limit, color=GREY, lw=0.6, ls=(0, (4, 2)))
-    left.set(xlabel="time [s]", ylabel=label("u1", "V"))
-    left.set_title(f"crest factor {design.crest_factor:.3f}", loc="left")
-    left.margins(x=0)
-    right.vlines(design.frequencies, 0, design.amplitudes, color=COLOURS[0])
-    right.plot(design.frequencies, design.amplitudes, "o", ms=3, color=COLOURS[0])
-    right.set(xlabel="frequency [Hz]", ylabel="amplitude [V]", ylim=(0, None))
-    right.set_title(count(len(design.frequencies), "tone"), loc="left")
-    return figure
-
-
-@journal()
-def arm_excitation_figure(design: ArmExcitation) -> Figure:
-    """A designed motion of a robot: position of each joint over time, and its limits."""
-    figure = new_figure(0.5 + 0.8 * len(design.limits))
-    axes = figure.subplots(len(design.limits), 1, sharex=True, squeeze=False)[:, 0]
-    for k, (one, axis) in enumerate(zip(design.limits, axes, strict=True)):
-        axis.plot(design.time, design.position[:, k], color=COLOURS[0], lw=0.8)
-        for limit in one.position:
-            axis.axhline(limit, color=GREY, lw=0.6, ls=(0, (4, 2)))
-        axis.set_title(shortened(one.name, MAX_TITLE), loc="left")
-        axis.set(ylabel=f"goal{k + 1}")
-        axis.margins(x=0)
-    axes[-1].set(xlabel="time [s]")
-    return figure
 
 
 @journal()

@@ -94,7 +94,6 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "band upside down": ("excite --band 8 0.3 --out {out}", nothing, ("--band", "lowest")),
     "tones too fast": ("excite --band 100 400 --out {out}", nothing, ("excitation", "sampling")),
     "too many tones": ("excite --band 1 2 --tones 99 --out {out}", nothing, ("excitation", "99")),
-    "picture of another kind": ("excite --out {out} --plot {out}.jpg", nothing, ("--plot", ".png")),
     "an option twice": ("check {data} --joint a --joint=b", nothing, ("--joint", "twice")),
     "an option twice of a command's command": ("blind run {data} --out a --out b", nothing, ("--out", "twice")),
     "options that contradict each other": (
@@ -116,7 +115,6 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     },
     "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "endless signal": ("excite --duration 1e9 --out {out}", nothing, ("--duration",)),
-    "picture over a file": ("excite --starts 1 --out {out}.csv --plot {out}", file_in_the_way, ("out", "--force")),
     "settings of no place": ("demo --settings {out}/gone.yaml --out {out}", nothing, ("gone.yaml", "does not exist")),
     "settings of another kind": ("demo --settings {model} --out {out}", nothing, ("settings of the twin",)),
 }  # fmt: skip

@@ -91,7 +91,7 @@ def test_lists_as_json(run, command: str) -> None:
 def test_excite_as_json(run, tmp_path: Path) -> None:
     options = ("--duration", 2, "--tones", 4, "--band", 1, 6, "--starts", 2, "--json")
     told = json.loads(run("excite", "--out", tmp_path / "wave.csv", *options).out)
-    assert 1.0 < told["crest_factor"] < told["usual_crest_factors"]["random"]
+    assert 1.0 < told["crest_factor"] < 1.6
 
 
 def test_version_is_in_every_kind_of_file(run, drive: Path, tmp_path: Path) -> None:

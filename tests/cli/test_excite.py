@@ -40,8 +40,8 @@ def arm(tmp_path: Path) -> str:
 
 
 def test_goals_of_a_robot(run, arm: str, tmp_path: Path) -> None:
-    found = run(*f"{arm} --speed swing=3 --torque 2 --plot {tmp_path / 'u.png'}".split())
-    assert found.code == 0 and "condition number" in found.out and (tmp_path / "u.png").exists()
+    found = run(*f"{arm} --speed swing=3 --torque 2".split())
+    assert found.code == 0 and "condition number" in found.out
     table = np.genfromtxt(tmp_path / "u.csv", delimiter=",", names=True)
     assert table.dtype.names == ("t", "goal1")
     made = json.loads((tmp_path / "u.json").read_text())

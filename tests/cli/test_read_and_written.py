@@ -13,7 +13,6 @@ CASES = {
     "init": "init DATA --motor motor/model.yaml --out motor --force",
     "excite": "excite --model m.yaml --gear most --out m.yaml --force",
     "excite, its description": "excite --model m.json --gear most --out m.csv --force",
-    "excite, its picture": "excite --model m.png --gear most --out m.csv --plot m.png --force",
     "excite, a robot": "excite --model arm/model.yaml --out arm/arm.xml --force",
     "identify": "identify DATA --model m.yaml --out . --force",
     "identify, a study": "identify study.yaml --out DATA --force",
