@@ -211,11 +211,8 @@ def _is_ours(system: System) -> bool:
 def _program() -> str:
     """Digest of all that decides the code of a structure of ours: this package's equations, and PyTorch's version."""
     digest, package = hashlib.sha256(torch.__version__.encode()), Path(__file__).parents[1]
-    files = [
-        file
-        for folder in ("components", "robots", "simulation", "systems")
-        for file in (package / folder).rglob("*.*")
-    ]
+    folders = ("components", "robots", "simulation", "systems")
+    files = [file for folder in folders for file in (package / folder).rglob("*.*")]
     for file in sorted([*files, package / "parameters.py"]):
         if file.suffix != ".pyc":
             digest.update(file.read_bytes())

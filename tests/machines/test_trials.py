@@ -11,7 +11,6 @@ from hybrid_id.machines.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.machines.effects.arm import ArmOutside, ArmSoftGear, ArmStribeck, GoalRateLimit
 from hybrid_id.machines.effects.friction import PreslidingDahl, StribeckGaussian, UnevenBoth, WithheldCoulomb
 from hybrid_id.machines.effects.load import Bias
-from hybrid_id.machines.effects.outside import Wind
 from hybrid_id.machines.effects.transmission import SoftGear
 from hybrid_id.machines.joint import JointTrials
 from hybrid_id.machines.physics.bench import Encoders, Flaws
@@ -66,9 +65,6 @@ def test_friction_of_any_size_takes_energy_and_wind_lets_the_joint_rest() -> Non
     UnevenBoth.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT).act(push, x)
     assert 0 < abs(push.torque) < 100.0 * ROBOT.value(0, "F_v")
     assert max(push.plus, push.minus) < ROBOT.value(0, "F_c")
-    push, wind = Push(), Wind.draw(RNG, ROBOT, 0).scaled(8.0).law(ROBOT)
-    wind.act(push, Signals(1))
-    assert abs(push.torque) <= 0.9 * ROBOT.value(0, "F_c") * ROBOT.ratio[0] * (1 + 1e-9)
 
 
 def test_nominal_arms_have_a_mass_matrix() -> None:

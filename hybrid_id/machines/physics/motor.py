@@ -10,7 +10,7 @@ from hybrid_id.machines.physics.law import Lanes, Law, Push, Signals
 
 @dataclass
 class Motor:
-    """``tau = P_1 (u - P_2 v)``, with a warming resistance, a lagging current and a weakening field as options.
+    """``tau = P_1 (u - P_2 v)``, with a warming resistance and a lagging current as options.
 
     | symbol | meaning | unit |
     | --- | --- | --- |
@@ -18,7 +18,6 @@ class Motor:
     | lag | L / R of the winding, 0: none | s |
     | heating | rise of R / R_0 - 1 per second and square of the torque | 1/(N m)^2/s |
     | cooling | time constant of its fall | s |
-    | weakening | speed at which the torque's constant has fallen by half, 0: none | rad/s |
     """
 
     P_1: Lanes
@@ -26,7 +25,6 @@ class Motor:
     lag: Lanes | None = None
     heating: Lanes | None = None
     cooling: Lanes = 1.0
-    weakening: Lanes | None = None
     _torque: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
     _warmth: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
 
@@ -42,8 +40,6 @@ class Motor:
         gain = self.P_1
         if self.heating is not None:
             gain = gain / (1 + self._warmth)
-        if self.weakening is not None:
-            gain = gain / (1 + (x.v_m / self.weakening) ** 2)
         if self.lag is None:
             push.torque, push.slope = gain * x.volts, gain * self.P_2
             x.effort = gain * (x.volts - self.P_2 * x.v_m)
