@@ -15,10 +15,10 @@ from hybrid_id.identification.hybrid import HybridOptions
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml
-from hybrid_id.reporting.ablation import ablation_tables
+from hybrid_id.reporting.ablation import arms_table, parameters_table
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.ablation import ALL, NONE, STATIC, Arm, Cell, Task, run_cell, split_records
-from hybrid_id.study.ablation_result import gather
+from hybrid_id.study.ablation_result import gather, verdict
 
 INPUTS = ("angle", "speed", "direction", "command")
 JOINTS = ("joint1/motor", "joint2/motor")
@@ -76,7 +76,8 @@ def main(folder: Path, design: str) -> None:
         results.append(result)
         error = result.best.error(cell.split.test)
         print(f"{cell.name} {error:.4g} {result.seconds:.0f} s", flush=True)
-    Console(width=160).print(ablation_tables(gather(results)))
+    result = gather(results)
+    Console(width=160).print(*verdict(result), arms_table(result), parameters_table(result), sep="\n")
 
 
 if __name__ == "__main__":

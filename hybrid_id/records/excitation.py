@@ -216,11 +216,9 @@ def _descend(waves: np.ndarray, phases: np.ndarray, powers: Sequence[int], itera
             return np.abs(np.real(waves @ np.exp(1j * phases)) / level) ** half
 
         def slope(phases: np.ndarray, level: float = level, half: int = power // 2) -> np.ndarray:
-            rotated = waves * np.exp(1j * phases)
-            signal = np.real(rotated).sum(axis=1) / level
-            return (
-                -(half * np.sign(signal) * np.abs(signal) ** (half - 1))[:, None] * np.imag(rotated) / level
-            )
+            rotated = waves * (np.exp(1j * phases) / level)
+            signal = np.real(rotated).sum(axis=1)
+            return -(half * np.sign(signal) * np.abs(signal) ** (half - 1))[:, None] * np.imag(rotated)
 
-        phases = least_squares(residual, phases, slope, method="lm", ftol=1e-5, max_nfev=iterations).x
+        phases = least_squares(residual, phases, slope, method="lm", ftol=1e-5, max_nfev=iterations).x  # type: ignore[arg-type]
     return phases

@@ -17,11 +17,10 @@ from hybrid_id.reporting.page import Page, records_section
 from hybrid_id.reporting.style import COLOURS, GREY, journal, pixels, plain_logarithm, rows_of_panels
 from hybrid_id.reporting.tables import count, table
 from hybrid_id.study.ablation import Arm
-from hybrid_id.study.ablation_result import HYBRID, OPEN, SETS, Ablation, Scores, answer, signed, verdict
+from hybrid_id.study.ablation_result import SETS, Ablation, Scores, answer, signed, verdict
 
 PICTURES = ("errors", "change")
 """Names of the pictures that an ablation may have."""
-_STYLE = {HYBRID: "green", OPEN: "yellow"}
 _TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}
 _HOW = (
     "Errors are the RMS of the free run over whole records, in units of the measurement's standard deviation (1: as "
