@@ -14,7 +14,7 @@ from hybrid_id.components import PLACES, REGISTRY, Component
 
 CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
 STAGES = {
-    "hybrid_id.diagnosis.diagnose": "measure Measured search freeze Answer reported",
+    "hybrid_id.diagnosis.diagnose": "answered search freeze Answer reported",
     "hybrid_id.diagnosis.fits": "Fits",
     "hybrid_id.identification.keep": "Kept",
     "hybrid_id.diagnosis.screen": "selection_step screen SelectionStep",

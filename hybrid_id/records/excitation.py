@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from hybrid_id.errors import InputError
 
@@ -208,17 +207,37 @@ def _least_peak_phases(
 
 
 def _descend(waves: np.ndarray, phases: np.ndarray, powers: Sequence[int], iterations: int) -> np.ndarray:
-    """Least squares on ``Σ |x|^p`` for rising p, with residuals ``|x|^(p/2)`` of the signal over its first peak."""
+    """Levenberg-Marquardt on ``Σ |x|^p`` for rising p, with residuals ``|x|^(p/2)``."""
     for power in powers:
-        level = np.abs(np.real(waves @ np.exp(1j * phases))).max()
-
-        def residual(phases: np.ndarray, level: float = level, half: int = power // 2) -> np.ndarray:
-            return np.abs(np.real(waves @ np.exp(1j * phases)) / level) ** half
-
-        def slope(phases: np.ndarray, level: float = level, half: int = power // 2) -> np.ndarray:
-            rotated = waves * (np.exp(1j * phases) / level)
-            signal = np.real(rotated).sum(axis=1)
-            return -(half * np.sign(signal) * np.abs(signal) ** (half - 1))[:, None] * np.imag(rotated)
-
-        phases = least_squares(residual, phases, slope, method="lm", ftol=1e-5, max_nfev=iterations).x  # type: ignore[arg-type]
+        damping = 1e-2
+        rotated = waves * np.exp(1j * phases)
+        level, cost = _power_norm(np.real(rotated).sum(axis=1), power)
+        for _ in range(iterations):
+            signal = np.real(rotated).sum(axis=1) / level
+            size = np.abs(signal)
+            residual = size ** (power // 2)
+            slope = (power // 2) * np.sign(signal) * size ** (power // 2 - 1)
+            jacobian = -slope[:, None] * np.imag(rotated) / level
+            hessian, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+            diagonal = np.diag(np.diag(hessian) + 1e-12 * np.trace(hessian))
+            for _ in range(8):
+                trial = phases - np.linalg.solve(hessian + damping * diagonal, gradient)
+                trial_rotated = waves * np.exp(1j * trial)
+                trial_level, trial_cost = _power_norm(np.real(trial_rotated).sum(axis=1), power)
+                if trial_cost < cost:
+                    break
+                damping *= 4
+            else:
+                break
+            gain = cost - trial_cost
+            phases, rotated, level, cost = trial, trial_rotated, trial_level, trial_cost
+            damping = max(damping / 6, 1e-9)
+            if gain < 1e-5:
+                break
     return phases
+
+
+def _power_norm(signal: np.ndarray, power: int) -> tuple[float, float]:
+    """Largest magnitude, and logarithm of the p-norm of the signal (scaled: high powers stay finite)."""
+    level = float(np.abs(signal).max())
+    return level, float(np.log(level) + np.log(np.mean((np.abs(signal) / level) ** power)) / power)

@@ -5,7 +5,6 @@ import numpy as np
 from hybrid_id.machines.effects.base import (
     UNKNOWN,
     Effect,
-    choice,
     dry,
     dry_at_link,
     fast,
@@ -100,29 +99,3 @@ class DrivenSlowMotion(Outside):
     def act(self, push, x):
         v = self.values
         push.torque = push.torque + v["F"] * x.v_a * np.exp(-((x.v_a / v["v_0"]) ** 2))
-
-
-class CommutationRipple(Outside):
-    """Commutation: a ripple that grows with the motor's torque, ``share tau_motor sin(n q_m + phase)``."""
-
-    place, sized = "motor", ("share",)
-    drawn = {"share": uniform(0.1, 0.5), "periods": choice([1, 2, 3]), "phase": uniform(0, 6.28)}
-
-    def act(self, push, x):
-        share = np.minimum(self.values["share"], 0.9)
-        push.torque = push.torque + share * x.effort * np.sin(
-            self.values["periods"] * x.q_m + self.values["phase"]
-        )
-
-
-class HystereticGear(Outside):
-    """A spring with losses that do not depend on speed, where the model's is linear."""
-
-    place, sized, systems = "transmission", ("limit",), ("one_link_flexible",)
-    replaces, memory = True, ("sliding",)
-    drawn = {"limit": uniform(0.3, 1.5, dry_at_link), "share": uniform(0.3, 0.8)}
-
-    def torque(self, twist, rate, step):
-        v, k = self.values, self.robot.values["k"]
-        self._sliding = np.clip(self._sliding + v["share"] * k * rate * step, -v["limit"], v["limit"])
-        return k * twist + self._sliding + self.robot.values["d"] * rate
