@@ -60,6 +60,8 @@ STILL = 1.2
 """Standard deviation of a signal over that of its noise up to which it stands still."""
 FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
+UNBOUNDED = 1e5
+"""A bound from which on it is none of a machine's, and tells no size of a parameter that ends at zero."""
 FIRST_STEP = 0.1
 """First step as a share of the estimate, where no standard error is known."""
 CONTRADICT = ("unit", "sign", "zero", "columns")
@@ -76,7 +78,7 @@ def identifiability_of(result: FitResult, *, inflation: float = 1.0) -> Identifi
         result.names,
         jacobian=[j / noise for j in result.jacobian],
         prior_precision=result.prior_precision,
-        scale=np.array([end or 1.0 for end in ends]),
+        scale=np.array([end if 0.0 < end < UNBOUNDED else 1.0 for end in ends]),
         inflation=inflation,
         references=REFERENCES,
     )
