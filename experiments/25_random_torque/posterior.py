@@ -96,7 +96,7 @@ class Posterior:
     def evaluate(self, members: Tensor) -> Sets:
         """Evidence and sizes of sets ``(N, k)``."""
         k = members.shape[1]
-        best: list[Tensor] = []
+        tried: list[Tensor] = []
         for number, (gram, gradient, constant) in enumerate(self.told):
             h = gram[members[:, :, None], members[:, None, :]] + torch.eye(k).to(gram) / SLAB**2
             g = gradient[members]
@@ -107,11 +107,10 @@ class Posterior:
             value = value + torch.where(self.one_sided[members], sided, torch.zeros_like(sided)).sum(1)
             # beyond a bound it holds the others where they would not be without it
             value = value.masked_fill((self.one_sided[members] & (sizes < -errors)).any(1), -torch.inf)
-            part = torch.cat(
-                [value[:, None], sizes, errors, torch.full_like(value[:, None], STRENGTHS[number])], 1
-            )
-            best = [part if not best else torch.where(part[:, :1] > best[0][:, :1], part, best[0])]
-        part = best[0]
+            strength = torch.full_like(value[:, None], STRENGTHS[number])
+            tried.append(torch.cat([value[:, None], sizes, errors, strength], 1))
+        each = torch.stack(tried)
+        part = each[each[..., 0].argmax(0), torch.arange(len(members))]
         classes = len(self.kinds)
         prior = (
             -k * math.log(2.0)

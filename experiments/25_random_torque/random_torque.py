@@ -400,6 +400,20 @@ class Estimate:
     history: tuple[float, ...]
 
 
+def sheet_prior(values: Tensor, bounds: Bounds, tolerance: Tensor) -> tuple[Tensor, Tensor]:
+    """By how many tolerances values miss their data sheet, in logarithms, and the slope of that by each, ``(n_f,)``.
+
+    Args:
+        values: of the free parameters.
+        bounds: their box; ``prior_mean`` is what the data sheet says.
+        tolerance: standard deviation of each one's logarithm; those that may be below zero have none.
+    """
+    about = bounds.prior_mean
+    sheet = ((about > 0) & (bounds.lower >= 0)) / tolerance
+    size = torch.where(sheet > 0, values.clamp_min(1e-12 * about.abs()), 1.0)
+    return sheet * (size / about.where(sheet > 0, 1.0)).log(), sheet / size
+
+
 def estimate(
     likelihood: RandomTorque,
     theta: Tensor,
@@ -422,7 +436,7 @@ def estimate(
     """
     free, history = likelihood.free, list[float]()
     about, index = bounds.prior_mean, torch.tensor(likelihood.free, device=theta.device)
-    sheet = torch.zeros_like(about) if tolerance is None else ((about > 0) & (bounds.lower >= 0)) / tolerance
+    tolerance = torch.full_like(about, torch.inf) if tolerance is None else tolerance
     ends: list[tuple[float, Tensor, Tensor, Noise, str]] = []
     # first along what the outputs alone say of the states, where no stick and slip leads astray; then along what the
     # model makes of them, which ends at its free run where no random torque is needed
@@ -439,10 +453,7 @@ def estimate(
                 found = likelihood.columns(lin)
                 flat = found.errors.flatten(0, 2)
                 left, slope = flat[:, 0], flat[:, 1:]
-                # a prior of the logarithm, as one of the value is about this value
-                size = torch.where(sheet > 0, values.clamp_min(1e-12 * about.abs()), 1.0)
-                missed = sheet * (size / about.where(sheet > 0, 1.0)).log()
-                per_value = sheet / size
+                missed, per_value = sheet_prior(values, bounds, tolerance)
                 hessian = slope.T @ slope + torch.diag(bounds.prior_precision + per_value.square())
                 gradient = slope.T @ left + bounds.prior_precision * (values - about) + per_value * missed
                 diagonal = hessian.diagonal()

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from causes import causes
 from posterior import Posterior
-from random_torque import RandomTorque, estimate
+from random_torque import RandomTorque, estimate, sheet_prior
 
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.records.dataset import Dataset
@@ -48,13 +48,9 @@ def diagnose(system: System, records: Sequence[Record]) -> None:
     )
     print("; ".join(f"{name} {part.tolist()}" for name, part in vars(likelihood.noise).items()))
     fitted, lin = time.perf_counter(), likelihood.linearise(found.theta)
-    about, now = bounds.prior_mean, found.theta[system.estimated]
-    sheet = torch.where((about > 0) & (bounds.lower >= 0), 1.0 / tolerance, 0.0)
-    size = torch.where(sheet > 0, now.clamp_min(1e-12 * about.abs()), 1.0)
-    precision = (
-        bounds.prior_precision + (sheet / size).square() + (sheet == 0) * (0.1 / bounds.scale).square()
-    )
-    pull = sheet.square() / size * (size / about.where(sheet > 0, 1.0)).log()
+    missed, per_value = sheet_prior(found.theta[system.estimated], bounds, tolerance)
+    loose = (per_value == 0) * (0.1 / bounds.scale).square()
+    precision, pull = bounds.prior_precision + per_value.square() + loose, per_value * missed
     posterior = Posterior(likelihood, lin, causes(likelihood, lin, found.theta, prepared), precision, pull)
     sets = posterior.search()
     least = float(sets[0].evidence + sets[0].prior)
