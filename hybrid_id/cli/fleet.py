@@ -92,7 +92,7 @@ def fleet(
     if as_json:
         show(text)
     else:
-        show(fleet_page(study).screen())
+        show(page.screen())
         show(f"results are in {home}: report.html, {RESULT}, robots.csv, model.yaml, robots.png, {ROBOTS}")
     if study.failed:
         raise typer.Exit(1)

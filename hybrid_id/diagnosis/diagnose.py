@@ -509,7 +509,7 @@ def reported(answer: Answer, system: System, *, seed: int = 0, level: float = 0.
         if fits.whole and coloured and chosen.effects and not play:
             squares = []
             for model in (base.system, chosen.system):
-                batch = batch_of(fits.dataset, model, fits.dataset.test, "cpu")
+                batch = batch_of(fits.dataset, model, fits.dataset.test)
                 windows = window_errors(model, engine(), batch, WINDOW)
                 squares.append(sum(float(np.square(one).sum()) for one in windows))
             differs = 0.0 < squares[1] < CRITERIA.left_open * squares[0]

@@ -81,7 +81,7 @@ def errors(
     records = dataset.test if records is None else records
     if not records:
         return None
-    whole = batch_of(dataset, system, records, "cpu")
+    whole = batch_of(dataset, system, records)
     runs = run_freely(system, engine, whole, horizon)
     batch, simulated = runs.pieces, runs.simulated.y.numpy()
     length = max(1, round(BLOCK / batch.sample_time))

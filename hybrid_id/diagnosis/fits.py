@@ -153,7 +153,7 @@ class Fits:
 
     def records(self, system: System) -> Batch:
         """The train records, whole."""
-        return batch_of(self.dataset, system, self.dataset.train, "cpu")
+        return batch_of(self.dataset, system, self.dataset.train)
 
     def batch(self, system: System) -> Batch:
         """What models are fitted to: the train records, or pieces of them from measured states."""
@@ -418,7 +418,7 @@ def _unseen(fits: Fits, result: FitResult) -> tuple[list[np.ndarray], float, Seq
     if not fits.dataset.validation:
         pieces = fits.horizon.cut(system, fits.engine, train)
         return bounded(predicted(result, pieces), reach), pieces.sample_time, pieces.names
-    whole = batch_of(fits.dataset, system, fits.dataset.validation, "cpu")
+    whole = batch_of(fits.dataset, system, fits.dataset.validation)
     runs = run_freely(system, result.engine, whole, fits.horizon)
     seen, run = runs.pieces, runs.simulated.y.numpy()
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)

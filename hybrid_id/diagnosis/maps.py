@@ -110,7 +110,7 @@ def after_reversals(fits: Fits, model: FittedModel) -> list[Reversals]:
         model: the fitted model.
     """
     system, dataset = model.system, fits.dataset
-    batch = batch_of(dataset, system, dataset.records, "cpu")
+    batch = batch_of(dataset, system, dataset.records)
     batch = fits.horizon.cut(system, engine(), batch)
     run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
     time = torch.cumsum(batch.dt, 1) - batch.dt

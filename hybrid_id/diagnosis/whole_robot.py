@@ -130,7 +130,7 @@ def common_horizon(answers: Mapping[str, Answer]) -> Horizon:
 
 def train_rows(dataset: Dataset, system: System, horizon: Horizon) -> Batch:
     """The train records of a robot as its fits take them."""
-    return horizon.cut(system, engine(), batch_of(dataset, system, dataset.train, "cpu"))
+    return horizon.cut(system, engine(), batch_of(dataset, system, dataset.train))
 
 
 def fitted(system: System, rows: Batch, kept: Kept | None) -> FitResult:

@@ -37,6 +37,8 @@ FIRST = 0.5
 """Length [s] of the first horizon, over which all rows share one set of parameters."""
 GROWTH = 2.0
 LAST = 4.0
+UNBOUNDED = 1e5
+"""A range, or a bound, from which on it is none of a machine's, and tells no size of a parameter."""
 Report = Callable[[int, Tensor, Tensor], bool | None] | None
 Progress = Callable[[str, int, Tensor, Tensor], bool | None]
 
@@ -315,7 +317,7 @@ def make_bounds(system: System, free: Sequence[int], device: torch.device | str 
     # a parameter that starts at zero moves in steps of its range, where it has one, else as the records say; and one of
     # either sign in a range of its own, for how near to zero it starts is no measure of it
     widths = [spec.upper - spec.lower for spec in specs]
-    ranges = [0.05 * width if math.isfinite(width) and width < 1e5 else 0.0 for width in widths]
+    ranges = [0.05 * width if math.isfinite(width) and width < UNBOUNDED else 0.0 for width in widths]
     signed = []
     for i, spec in zip(free, specs, strict=True):
         # bounds that are those of its law hold for any machine: they are no range of its own

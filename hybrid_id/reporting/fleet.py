@@ -157,7 +157,7 @@ def write_robots(path: Path, study: FleetStudy) -> None:
     write_rows(path, CSV_HEADS, rows)
 
 
-def fleet_page(study: FleetStudy, picture: np.ndarray | None = None) -> Page:
+def fleet_page(study: FleetStudy, picture: np.ndarray) -> Page:
     """The whole result as one page, with the picture of the robots."""
     first, *others = verdict(study)
     page = Page("Fleet", first)
@@ -166,12 +166,11 @@ def fleet_page(study: FleetStudy, picture: np.ndarray | None = None) -> Page:
         reasons = [(robot.name, said) for i, robot in enumerate(study.robots) for said in why(study, i)]
         section.add(table(("robot", "why it stands out"), reasons))
     page.section("Mean and spread").add(fleet_table(study)).note(_HOW)
-    if picture is not None:
-        page.section("Robots").figure(
-            picture,
-            "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
-            "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
-        )
+    page.section("Robots").figure(
+        picture,
+        "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
+        "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
+    )
     if study.failed:
         page.section("Robots without an estimate").add(table(("robot", "reason"), list(study.failed.items())))
     return page

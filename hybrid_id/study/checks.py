@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from hybrid_id.errors import InputError, listed
-from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.fit import UNBOUNDED, fit, make_bounds
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.least_squares import Options, free_parameters
 from hybrid_id.identification.objective import evaluate
@@ -60,8 +60,6 @@ STILL = 1.2
 """Standard deviation of a signal over that of its noise up to which it stands still."""
 FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
-UNBOUNDED = 1e5
-"""A bound from which on it is none of a machine's, and tells no size of a parameter that ends at zero."""
 FIRST_STEP = 0.1
 """First step as a share of the estimate, where no standard error is known."""
 CONTRADICT = ("unit", "sign", "zero", "columns")

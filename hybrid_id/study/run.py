@@ -108,7 +108,7 @@ def identify(
             try:
                 sets = fitted(horizon or WHOLE)
                 if horizon is None:
-                    whole = batch_of(dataset, system, records, "cpu")
+                    whole = batch_of(dataset, system, records)
                     horizon = choose_horizon(system, engine, whole, sets, options=options)
                     if horizon.kind != "whole":  # stopped before, the sets are those of whole records
                         sets, horizon = (sets, WHOLE) if stop.exists() else (fitted(horizon), horizon)
@@ -200,7 +200,7 @@ def fit_share(
     leave_ctrl_c_to_the_first()
     torch.set_num_threads(1)
     # all records first: the weight of an output that stands still in one is known from the others
-    batch = batch_of(dataset, system, dataset.train, "cpu").take(torch.tensor(share)).to(device)
+    batch = batch_of(dataset, system, dataset.train).take(torch.tensor(share)).to(device)
     sets, _ = fit_sets(
         system.to(device), batch=batch, horizon=horizon, pooled=False, numbers=share,
         progress=lambda *_: stop.exists(), **settings,
