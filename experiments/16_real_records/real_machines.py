@@ -44,12 +44,13 @@ def with_tests(machine: Machine, tests: Collection[int]) -> Machine:
 
 
 def xl330(data: Path, model: str = "model") -> Machine:
-    """Twelve logs of the servo: duty, measured supply and switch to the angle; all train."""
+    """Twelve logs of the servo: duty, supply and switch to the angle; all train; as stamped without a sample time."""
     how, names = CONFIG["xl330"], ("duty1", "supply1", "enable1")
     records = []
     logs = Path(__file__).parents[1] / "02_xl330" / "servo.yaml"
     for record in Dataset.load(logs, folder=data / how["folder"]):
-        record = resample_record(record, how["sample_time"])[0]
+        if how["sample_time"] is not None:
+            record = resample_record(record, how["sample_time"])[0]
         inputs = {name: record.signal(name) for name in names}
         meta = {**record.meta, "gain1": float(record.signal("gain1")[0])}
         records.append(replace(record, inputs=inputs, outputs={"q_m1": record.signal("q_m1")}, meta=meta))
