@@ -24,6 +24,8 @@ from hybrid_id.systems.joint import Joint
 
 TURNING = ("input", "motor", "motor_friction", "sensor")
 """Places on the motor's side of a gear."""
+PUSH = "push"
+"""Channel of a torque at a speed over the inertia there [rad/s^2], by the speed's number from 0: what no law describes."""
 
 
 class System(nn.Module):
@@ -242,7 +244,11 @@ class System(nn.Module):
         for joint in self.joints:
             n = slice(len(found), len(found) + len(joint.positions))
             found += joint.balances(x, u, p, magnitudes[n], forwards[n], transmitted=transmitted)
-        return self.arm.couple(found, x, u, p)
+        whole = self.arm.couple(found, x, u, p)
+        for k, balance in enumerate(whole.speeds):
+            if (push := u.get(f"{PUSH}{k}")) is not None:
+                balance.smooth = balance.smooth + balance.inertia * push
+        return whole
 
     def rest(self, x: Rows, u: Channels, p: Views, directions: Directions) -> Rest:
         """What may hold the speeds whose direction is 0: the balances with their friction either way."""

@@ -154,3 +154,12 @@ def test_table_has_one_order_however_a_system_was_built() -> None:
     assert [i.name for i in one.table] == [i.name for i in other.table]
     replaced = one_link().with_component("joint1/load", OneLink(J=3e-5))
     assert [i.name for i in replaced.table] == [i.name for i in one_link().table]
+
+
+@pytest.mark.parametrize("push, expected", [(400.0, 0.0), (600.0, 100.0), (-600.0, -100.0)])
+def test_pushed_speed_is_held_by_friction_and_breaks_away_beyond_it(push: float, expected: float) -> None:
+    system, x = rigid_drive(), [torch.zeros(1)] * 2  # its friction holds 0.01 N m of 2e-5 kg m^2
+    p = system.views([*system.theta().detach()[:, None]])
+    u = {"u1": torch.zeros(1), "push0": torch.tensor([push])}
+    rates = system.rates(x, u, p, system.directions(x, u, p))
+    assert float(rates[1]) == pytest.approx(expected)
