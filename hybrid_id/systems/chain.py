@@ -25,7 +25,7 @@ from hybrid_id.systems.joint import Joint
 TURNING = ("input", "motor", "motor_friction", "sensor")
 """Places on the motor's side of a gear."""
 PUSH = "push"
-"""Channel of a torque at a speed over the inertia there [rad/s^2], by the speed's number from 0: what no law describes."""
+"""Channel of a torque that no law describes over the inertia at a speed [rad/s^2], by that speed's number from 0."""
 
 
 class System(nn.Module):
