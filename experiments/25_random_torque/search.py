@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import cast
 
 import torch
 from sigma_points import Estimate, Likelihood, estimate
 from torch import Tensor
 
-from hybrid_id.components import CATALOGUE, Cogging
+from hybrid_id.components import CATALOGUE, Cogging, Component
 from hybrid_id.components.site import Scales
 from hybrid_id.diagnosis.catalogue import with_effect
 from hybrid_id.diagnosis.scales import scales
@@ -61,11 +62,6 @@ class Fitted:
         pairs = zip(self.system.table, self.end.theta.tolist(), strict=True)
         values = {info.name: min(max(v, info.spec.lower), info.spec.upper) for info, v in pairs}
         return self.system.with_values(values)
-
-
-def _names(system: System, key: str) -> dict[str, str]:
-    """Names of a component's parameters by their symbols."""
-    return {info.symbol: info.name for info in system.table if info.component == key}
 
 
 class Search:
@@ -137,45 +133,38 @@ class Search:
         for size in scales(there, model.likelihood.batch):
             for effect in CATALOGUE.values():
                 for where, models in with_effect(effect, there, size).items():
-                    if effect.name == "cogging":
-                        models = self.waves(model, size)
                     if (effect.name, where) in model.members:
                         continue
-                    for system in models:
+                    for system in self.waves(model, size) if effect.name == "cogging" else models:
                         yield (effect.name, where), system
 
     def waves(self, model: Fitted, size: Scales) -> list[System]:
         """A model with the torques over a rotor's angle that would explain most of its prediction errors."""
-        where, there, turns = f"joint{size.joint}/motor", model.there, size.turns / (2.0 * math.pi)
-        part = Cogging(T_c=0.0, T_s=0.0)
-        system = there.with_component(where, part)
+        where, turns = f"joint{size.joint}/motor", size.turns / (2.0 * math.pi)
+        system = model.there.with_component(where, Cogging(T_c=0.0, T_s=0.0))
         likelihood, names = self.likelihood(system), [info.name for info in system.table]
-        row = {symbol: names.index(name) for symbol, name in _names(system, f"{where}/cogging").items()}
+        symbols = {info.symbol: info.name for info in system.table if info.component == f"{where}/cogging"}
+        row = {symbol: names.index(name) for symbol, name in symbols.items()}
         periods = torch.arange(max(1, math.ceil(REPEATED / turns)), WAVES + 1).to(model.end.theta)
-        base = model.end.slopes.flatten(0, 2)
-        left, amplitude, ranked = (
-            model.end.errors.flatten(),
-            0.1 * size.torque,
-            list[tuple[float, list[float]]](),
-        )
-        for part_of in periods.split(20):
-            theta = system.theta().detach()[:, None].repeat(1, 2 * len(part_of))
-            theta[row["n"]] = part_of.repeat_interleave(2)
+        left, base = model.end.errors.flatten(), model.end.slopes.flatten(0, 2)
+        amplitude, limit = 0.1 * size.torque, 3.0 * size.torque
+        ranked = list[tuple[float, list[float]]]()
+        for some in periods.split(20):
+            theta = system.theta().detach()[:, None].repeat(1, 2 * len(some))
+            theta[row["n"]] = some.repeat_interleave(2)
             theta[row["T_c"], ::2] = theta[row["T_s"], 1::2] = amplitude
             errors, _ = likelihood.errors(theta, model.end.logs.expand(theta.shape[1], -1))
             columns = (errors.flatten(1) - left).T
             columns = columns - base @ torch.linalg.lstsq(base, columns).solution
-            for n, pair in zip(part_of.tolist(), columns.split(2, 1), strict=True):
+            for n, pair in zip(some.tolist(), columns.split(2, 1), strict=True):
                 found = -torch.linalg.lstsq(pair, left[:, None]).solution[:, 0]
                 gain = float((pair @ found).square().sum())
                 ranked.append((gain, [n, *(amplitude * found).tolist()]))
         best = sorted(ranked, key=lambda entry: -entry[0])[:STARTS]
-        symbols = _names(system, f"{where}/cogging")
         found = list[System]()
         for _, (n, cosine, sine) in best:
             specs = {symbols["n"]: replace(system.parameter(symbols["n"]).spec, value=n)}
             for symbol, value in (("T_c", cosine), ("T_s", sine)):
-                limit = 3.0 * size.torque
                 specs[symbols[symbol]] = Bounded(min(max(value, -limit), limit), -limit, limit, unit="N m")
             found.append(system.with_specs(specs))
         return found
@@ -185,23 +174,17 @@ class Search:
         (name, where), system = kind, model.there
         if where == "value":
             return system.with_specs({name: self.nominal.parameter(name).spec})
-        for key, part in list(system.components.items()):
+        was, now = (cast("dict[str, Component]", dict(s.components.items())) for s in (self.nominal, system))
+        for key, part in now.items():
             place, _, law = key.rpartition("/")
             effect = type(part).effect
-            if (
-                key not in self.nominal.components
-                and place == where
-                and effect is not None
-                and effect.name == name
-            ):
-                before = [
-                    k
-                    for k in self.nominal.components
-                    if k.startswith(f"{place}/") and k not in system.components
-                ]
-                if before:
-                    return system.with_component(place, self.nominal.components[before[0]])
-                return system.without_component(place, law)
+            if key in was or place != where or effect is None or effect.name != name:
+                continue
+            # where it took the place of another one, that comes back
+            before = next((k for k in was if k.startswith(f"{place}/") and k not in now), None)
+            if before is not None:
+                return system.with_component(place, was[before])
+            return system.without_component(place, law)
         raise KeyError(kind)
 
     def run(self) -> Fitted:

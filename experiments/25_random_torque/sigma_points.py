@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from ctypes import CDLL
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,77 +44,6 @@ FACTORS = (0.1, 1.0, 10.0, 100.0)
 """Of the damping, tried side by side."""
 
 
-@dataclass(frozen=True)
-class Noise:
-    """What the records add to the model, under each of K guesses.
-
-    Attributes:
-        strength: standard deviation of the random torque at each speed over the inertia there [rad/s^2], ``(K, n_w)``.
-        time: its correlation time [s], ``(K, n_w)``.
-        scale: of the outputs' standard deviations, as the batch's weights have them, ``(K, n_y)``.
-        jitter: by how much the moments of measurements scatter [s], ``(K, n_y)``.
-    """
-
-    strength: Tensor
-    time: Tensor
-    scale: Tensor
-    jitter: Tensor
-
-
-def predict(
-    system: System,
-    engine: Engine,
-    batch: Batch,
-    pushed: Sequence[int],
-    rate: Tensor,
-    theta: Tensor,
-    noise: Noise,
-) -> tuple[Tensor, Tensor]:
-    """Prediction errors in their standard deviations, and the logarithms of their variances, ``(K, R, T, n_y)`` each.
-
-    Args:
-        system: what is simulated; its outputs here are states.
-        engine: how a sample is integrated.
-        batch: R records, prepared for it.
-        pushed: rows of the state that random torques accelerate.
-        rate: of each output [its unit/s], ``(R, T, n_y)``.
-        theta: all parameters of each guess, ``(n_p, K)``.
-        noise: of each guess.
-    """
-    guesses, (records, samples, outputs) = theta.shape[1], batch.y.shape
-    rows = guesses * records
-    each = theta.repeat_interleave(records, 1)
-    u = dict(batch.u)
-    if any(joint.drive.delay for joint in system.joints):
-        u = {name: channel.repeat(guesses, 1) for name, channel in u.items()}
-    u = dict(compiled._arrived(system, u, each))
-    names = [f"{PUSH}{system.speed_rows.index(row)}" for row in pushed]
-    u |= {name: batch.dt.new_zeros(1, samples) for name in names}
-    equations, constants = compiled._equations(system, engine, tuple(u))
-    channels = [channel.contiguous() for channel in u.values()]
-    places = torch.tensor([channel.data_ptr() for channel in channels])
-    lengths = torch.tensor([len(channel) for channel in channels])
-    seen = batch.weight > 0
-    variance = torch.where(seen, batch.weight.clamp_min(1e-300) ** -2, torch.zeros_like(batch.weight))
-    errors, logs = batch.y.new_empty(rows, samples, outputs), batch.y.new_empty(rows, samples, outputs)
-
-    def of_rows(*parts: Tensor) -> Tensor:
-        return torch.stack(parts, -1).repeat_interleave(records, 0).contiguous()
-
-    sizes = torch.cat([batch.x.abs().amax((0, 1)).clamp_min(1e-6), noise.strength[0].clamp_min(1e-6)])
-    parts = [
-        (batch.dt / engine.substeps).contiguous(), compiled._values(each, constants), batch.y.contiguous(), variance,
-        rate.square().contiguous(), of_rows(noise.scale.square(), noise.jitter.square()), batch.x[:, 0].contiguous(),
-        batch.x0_std.square().contiguous(), of_rows(noise.strength.square(), noise.time), (TINY * sizes).square(),
-        torch.tensor([system.state_names.index(name) for name in batch.outputs]),
-        torch.tensor([list(u).index(name) for name in names]),
-    ]  # fmt: skip
-    counts = rows, records, samples, engine.substeps, outputs, len(pushed)
-    call(_filter(), "predict", equations, errors, logs, places, lengths, *parts, *counts)
-    shape = guesses, records, samples, outputs
-    return errors.view(shape), logs.view(shape)
-
-
 @functools.cache
 def _filter() -> CDLL:
     own = Path(__file__).with_name("sigma_points.c").read_text(encoding="utf-8")
@@ -134,7 +62,9 @@ class Likelihood:
         free: indices of the parameters that a fit moves.
         pushed: rows of the state that random torques accelerate: the speeds that outputs tell.
         rate: of each output [its unit/s], ``(R, T, n_y)``.
-        entries: name and number of each entry of the noise.
+        entries: name and number of each entry of the noise: ``strength``, the standard deviation of the random torque
+            at a speed over the inertia there [rad/s^2], and its correlation ``time`` [s]; of an output the ``scale``
+            of its standard deviation, as the batch's weights have it, and the ``jitter`` of its moments [s].
         low, high: bounds of their logarithms.
         first: where a fit begins.
     """
@@ -175,18 +105,50 @@ class Likelihood:
         bounds = torch.tensor([limits[name][k] for name, k in self.entries]).to(batch.x)
         self.low, self.first, self.high = bounds.unbind(1)
 
+        self.variance = torch.where(weight > 0, weight.clamp_min(1e-300) ** -2, torch.zeros_like(weight))
+        self.rows = torch.tensor(rows)
+        self.pushes = [f"{PUSH}{system.speed_rows.index(row)}" for row in self.pushed]
+
     def errors(self, theta: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
-        """Prediction errors and logarithms of their variances, ``(K, R, T, n_y)``, of K guesses.
+        """Prediction errors in their standard deviations, and the logarithms of their variances.
 
         Args:
-            theta: all parameters, ``(n_p, K)``.
-            logs: logarithms of the noise, ``(K, n)`` in the order of ``entries``.
+            theta: all parameters of K guesses, ``(n_p, K)``.
+            logs: logarithms of their noise, ``(K, n)`` in the order of ``entries``.
+
+        Returns:
+            ``(K, R, T, n_y)`` each.
         """
-        parts = {
-            name: logs[:, [i for i, entry in enumerate(self.entries) if entry[0] == name]].exp()
+        batch, guesses, (records, samples, outputs) = self.batch, theta.shape[1], self.batch.y.shape
+        rows, each = guesses * records, theta.repeat_interleave(records, 1)
+        u = dict(batch.u)
+        if any(joint.drive.delay for joint in self.system.joints):
+            u = {name: channel.repeat(guesses, 1) for name, channel in u.items()}
+        u = dict(compiled._arrived(self.system, u, each))
+        u |= {name: batch.dt.new_zeros(1, samples) for name in self.pushes}
+        equations, constants = compiled._equations(self.system, self.engine, tuple(u))
+        channels = [channel.contiguous() for channel in u.values()]
+        places = torch.tensor([channel.data_ptr() for channel in channels])
+        lengths = torch.tensor([len(channel) for channel in channels])
+        strength, time, scale, jitter = (
+            logs[:, [i for i, entry in enumerate(self.entries) if entry[0] == name]].exp()
             for name in ("strength", "time", "scale", "jitter")
-        }
-        return predict(self.system, self.engine, self.batch, self.pushed, self.rate, theta, Noise(**parts))
+        )
+
+        def of_rows(*parts: Tensor) -> Tensor:
+            return torch.stack(parts, -1).repeat_interleave(records, 0).contiguous()
+
+        sizes = torch.cat([batch.x.abs().amax((0, 1)).clamp_min(1e-6), strength[0].clamp_min(1e-6)])
+        errors, variances = (batch.y.new_empty(guesses, records, samples, outputs) for _ in range(2))
+        parts = [
+            (batch.dt / self.engine.substeps).contiguous(), compiled._values(each, constants), batch.y.contiguous(),
+            self.variance, self.rate.square().contiguous(), of_rows(scale.square(), jitter.square()),
+            batch.x[:, 0].contiguous(), batch.x0_std.square().contiguous(), of_rows(strength.square(), time),
+            (TINY * sizes).square(), self.rows, torch.tensor([list(u).index(name) for name in self.pushes]),
+        ]  # fmt: skip
+        counts = rows, records, samples, self.engine.substeps, outputs, len(self.pushed)
+        call(_filter(), "predict", equations, errors, variances, places, lengths, *parts, *counts)
+        return errors, variances
 
 
 @dataclass(frozen=True)
@@ -263,34 +225,42 @@ def estimate(
         missed, _ = sheet_prior(values, bounds, tolerance)
         return float(bounds.prior_cost(values[None])[0] + 0.5 * missed.square().sum())
 
+    moved_on = True
     for _ in range(iterations):
-        values = theta[free]
-        size = torch.maximum(values.abs(), bounds.scale)
-        aside = torch.where(values + ASIDE * size < bounds.upper, ASIDE * size, -ASIDE * size)
-        steps = torch.cat([aside, torch.full_like(logs, LOG_ASIDE)])
-        guesses = theta[:, None].repeat(1, 1 + len(steps))
-        guesses[free, range(1, 1 + count)] += aside
-        noises = logs.repeat(1 + len(steps), 1)
-        noises[range(1 + count, 1 + len(steps)), range(len(logs))] += LOG_ASIDE
-        errors, variances = (part.flatten(1) for part in likelihood.errors(guesses, noises))
-        by_error = ((errors[1:] - errors[0]) / steps[:, None]).T
-        by_variance = ((variances[1:] - variances[0]) / steps[:, None]).T
-        missed, per_value = sheet_prior(values, bounds, tolerance)
-        cost = 0.5 * float(errors[0].square().sum() + variances[0].sum()) + prior(values)
-        history = history or [cost]
-        gradient = 0.5 * by_variance.sum(0) + errors[0] @ by_error
-        apart = by_error + 0.5 * errors[0][:, None] * by_variance
-        fisher = apart.T @ apart + 0.5 * by_variance.T @ by_variance
-        precision = bounds.prior_precision + per_value.square()
-        gradient[:count] += bounds.prior_precision * (values - bounds.prior_mean) + per_value * missed
-        fisher[range(count), range(count)] += precision
-        fisher[range(count, len(steps)), range(count, len(steps))] += 1e-3
-        low = torch.cat(
-            [torch.maximum(bounds.lower - values, REACH[0] * size), (likelihood.low - logs).clamp_min(-2.0)]
-        )
-        high = torch.cat(
-            [torch.minimum(bounds.upper - values, REACH[1] * size), (likelihood.high - logs).clamp_max(2.0)]
-        )
+        if moved_on:  # else only the damping is another one
+            values = theta[free]
+            size = torch.maximum(values.abs(), bounds.scale)
+            aside = torch.where(values + ASIDE * size < bounds.upper, ASIDE * size, -ASIDE * size)
+            steps = torch.cat([aside, torch.full_like(logs, LOG_ASIDE)])
+            guesses = theta[:, None].repeat(1, 1 + len(steps))
+            guesses[free, range(1, 1 + count)] += aside
+            noises = logs.repeat(1 + len(steps), 1)
+            noises[range(1 + count, 1 + len(steps)), range(len(logs))] += LOG_ASIDE
+            errors, variances = (part.flatten(1) for part in likelihood.errors(guesses, noises))
+            by_error = ((errors[1:] - errors[0]) / steps[:, None]).T
+            by_variance = ((variances[1:] - variances[0]) / steps[:, None]).T
+            missed, per_value = sheet_prior(values, bounds, tolerance)
+            cost = 0.5 * float(errors[0].square().sum() + variances[0].sum()) + prior(values)
+            history = history or [cost]
+            gradient = 0.5 * by_variance.sum(0) + errors[0] @ by_error
+            apart = by_error + 0.5 * errors[0][:, None] * by_variance
+            fisher = apart.T @ apart + 0.5 * by_variance.T @ by_variance
+            precision = bounds.prior_precision + per_value.square()
+            gradient[:count] += bounds.prior_precision * (values - bounds.prior_mean) + per_value * missed
+            fisher[range(count), range(count)] += precision
+            fisher[range(count, len(steps)), range(count, len(steps))] += 1e-3
+            low = torch.cat(
+                [
+                    torch.maximum(bounds.lower - values, REACH[0] * size),
+                    (likelihood.low - logs).clamp_min(-2.0),
+                ]
+            )
+            high = torch.cat(
+                [
+                    torch.minimum(bounds.upper - values, REACH[1] * size),
+                    (likelihood.high - logs).clamp_max(2.0),
+                ]
+            )
         unit = fisher.diagonal().clamp_min(1e-300).rsqrt()
         tried = []
         for factor in FACTORS:
@@ -308,7 +278,8 @@ def estimate(
             for k, (e, v) in enumerate(zip(*found, strict=True))
         ]
         best = min(range(len(costs)), key=lambda k: costs[k] if math.isfinite(costs[k]) else math.inf)
-        if not costs[best] < cost:
+        moved_on = costs[best] < cost
+        if not moved_on:
             damping *= FACTORS[-1] / FACTORS[0]
             if damping > 1e8:
                 status = "stalled"
