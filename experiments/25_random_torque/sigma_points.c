@@ -72,6 +72,9 @@ void predict(const Equations *e, double *white, double *logs, const double *cons
                 moves |= h[l] != 0.0;
             }
             if (!moves) continue;
+            for (long i = 0; i < e->channels; i++)
+                EACH_LANE held[i][l] = u[i][row[l] % u_rows[i] * samples + t];
+            e->hold(held, values, fixed);
             for (long s = 0; s < points; s++) {
                 const long side = s < z ? s : s - z;
                 const double sign = s < z ? spread : -spread;
@@ -79,10 +82,7 @@ void predict(const Equations *e, double *white, double *logs, const double *cons
                 Z VECTORS AT(point[i]) = AT(m[i]);
                 for (long i = side; i < z; i++) VECTORS AT(point[i]) = AT(point[i]) + sign * AT(L[i * z + side]);
                 STATES VECTORS AT(x[i]) = AT(point[i]);
-                for (long i = 0; i < e->channels; i++)
-                    EACH_LANE held[i][l] = u[i][row[l] % u_rows[i] * samples + t];
                 for (long k = 0; k < torques; k++) VECTORS AT(held[push[k]]) = AT(point[n + k]);
-                e->hold(held, values, fixed);
                 sample_lanes(&at, room, x, x_t, h, sub_steps);
                 STATES VECTORS AT(point[i]) = AT(x[i]);
             }

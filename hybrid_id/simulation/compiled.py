@@ -34,7 +34,7 @@ from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts
 from hybrid_id.simulation.step import Engine, update_internal_states
 from hybrid_id.simulation.tracing import DECLARED, WRAPPED, record
 from hybrid_id.systems.balance import PIVOTS, Directions
-from hybrid_id.systems.chain import Channels, System, Views
+from hybrid_id.systems.chain import PUSH, Channels, System, Views
 
 FLAGS = (
     "-O1", "-fexpensive-optimizations", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd",
@@ -392,7 +392,9 @@ class Statements:
         """
         flat, statements, results = self._recorded(function, extra, bool(tangents) and self.columns > 0)
         load = [f"const double {n} = {key}[{n[1:]}];" for key, n in flat if n != "h"]
+        pushes = [f" u{i} " for i, name in enumerate(self.channels) if name.startswith(PUSH)]  # never held
         given = {key: [line for line in load if f" {key}" in line[:15]] for key in "pu"}
+        given["u"] = [line for line in given["u"] if not any(push in line for push in pushes)]
         fixed, moving = self._split(statements, results, given["p"], self.prepare)
         held, moving = self._split(moving, results, [*given["p"], *given["u"], *fixed], self.hold)
         stores: dict[str, list[str]] = {}
