@@ -54,6 +54,7 @@ faster than a function does: six joints with ten parameters each in 11 s, and no
 ARRAYS = {
     "rates": ("x", "u", "p", "fixed", "d", "k", "g"),
     "margins": ("x", "u", "p", "fixed", "s", "d", "side", "margin", "against"),
+    "outputs": ("x", "u", "p", "fixed", "k"),
 }
 """What the recorded functions read and write, as equations.c.in calls it."""
 EVERY_MODULE = {*vars(nn.Module()), "specs"}
@@ -157,12 +158,13 @@ def _equations(
     channels: tuple[str, ...],
     free: tuple[int, ...] | None = None,
     late: tuple[int, ...] = (),
+    outputs: tuple[str, ...] = (),
 ) -> tuple[int, Tensor]:
     """Address of a system's equations, and the constants that follow its parameters."""
     if system not in _STRUCTURES:
         _STRUCTURES[system] = structure(system)
     width = engine.width if engine.friction == "smooth" else None
-    arguments = (system, channels, free, width, late)
+    arguments = (system, channels, free, width, late, outputs)
     key = (_STRUCTURES[system], *arguments[1:])
     if key not in _EQUATIONS:
         about, write = repr(key) if _is_ours(system) else "", functools.partial(source, *arguments)
@@ -277,6 +279,7 @@ def source(
     free: Sequence[int] | None = None,
     width: float | None = None,
     late: Sequence[int] = (),
+    outputs: Sequence[str] = (),
 ) -> tuple[str, list[float]]:
     """C code of a structure's equations under named channels, and the machine's constants, which follow its parameters.
 
@@ -286,6 +289,7 @@ def source(
         free: indices of the parameters by which, beside the states, tangents are taken; None for rollouts.
         width: smoothing speed [rad/s] of friction; None for dry friction.
         late: indices of channels by which tangents are taken too.
+        outputs: names of the outputs that it tells.
 
     Raises:
         InputError: the model uses an operation that has no C expression.
@@ -317,10 +321,14 @@ def source(
         after = update_internal_states(system, list(x), u, p, h)
         return [after[row] for row in kept]
 
+    def measured(x: Sequence[Tensor], u: Channels, p: Views) -> list[Tensor]:
+        return system.outputs(outputs, x, u, p, system.signs(x))
+
     code = Statements(system, channels, free, late)
     sides = [f"{name}[{i}]" for name in ("side", "margin", "against") for i in range(n)]
     bodies = {"rates": code.function(rates, {"d": n}, [f"k[{i}]" for i in range(n_x)], tangents=range(n_x))}
     bodies["margins"] = code.function(margins, {"s": n, "d": n}, sides) if n else Body([[]], 0, {})
+    bodies["outputs"] = code.function(measured, {}, [f"k[{i}]" for i in range(len(outputs))])
     texts: dict[str, str] = {}
     for name, body in bodies.items():
         texts[f"{name}_parts"], texts[name] = lanes(name, ARRAYS[name], body)

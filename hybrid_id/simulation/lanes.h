@@ -41,4 +41,5 @@ typedef struct {
                     Rows against);
     /* states that remember, half a step further; none where a system has none */
     void (*internal)(Rows x, Rows x_t, Values u, Values p, Values fixed, const double *step);
+    void (*outputs)(Values x, Values u, Values p, Values fixed, Rows k); /* those that are asked for */
 } Equations;

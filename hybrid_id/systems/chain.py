@@ -257,12 +257,15 @@ class System(nn.Module):
         ahead = [((v if d is None else d) >= 0).to(v.dtype) for v, d in zip(speeds, directions, strict=True)]
         return Rest(self.balances(x, u, p, magnitudes, ahead), self.balances(x, u, p, magnitudes, back))
 
+    def signs(self, x: Rows) -> Directions:
+        """Sign of each speed with dry friction: whether one of zero just breaks away is nothing to a filter."""
+        speeds = zip(self.speed_rows, self.dry, strict=True)
+        return [torch.sign(x[row]) if dry else None for row, dry in speeds]
+
     @torch.no_grad()
     def directions(self, x: Rows, u: Channels, p: Views) -> Directions:
         """Direction of dry friction for each speed: its sign, and at rest the push beyond the level, else 0."""
-        signs = [
-            torch.sign(x[row]) if dry else None for row, dry in zip(self.speed_rows, self.dry, strict=True)
-        ]
+        signs = self.signs(x)
         if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
             return signs
         return self.rest(x, u, p, signs).stick_slip(signs)
@@ -317,16 +320,9 @@ class System(nn.Module):
         """Row of each state that remembers, and how it goes on."""
         found = [one for joint in self.joints for one in joint.state_updates(x, u, p)]
         lags = [(joint, joint.sensing.lag) for joint in self.joints if joint.sensing.lag is not None]
-        if lags:
-            # a speed of zero stays there: whether it just breaks away is nothing to a filter
-            signs = [
-                torch.sign(x[row]) if dry else None
-                for row, dry in zip(self.speed_rows, self.dry, strict=True)
-            ]
-            torques = self.link_torques(x, u, p, signs)
-            for joint, (key, part) in lags:
-                going = part.state_update(p[key], torques[joint.number])
-                found.append((joint.sensing.lag_row, going))
+        torques = self.link_torques(x, u, p, self.signs(x)) if lags else {}
+        for joint, (key, part) in lags:
+            found.append((joint.sensing.lag_row, part.state_update(p[key], torques[joint.number])))
         return found
 
     def check_outputs(self, names: Sequence[str]) -> None:
@@ -352,18 +348,13 @@ class System(nn.Module):
             )
         return channel, number
 
-    def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:
+    def outputs(
+        self, names: Sequence[str], x: Rows, u: Channels, p: Views, directions: Directions | None = None
+    ) -> list[Tensor]:
         """Measured outputs by name (``q_m1``, ``i1`` ...; ``r_motor1``: of the network there), ``(B,)`` each."""
-        found, torques = [], None
-        for name in names:
-            channel, number = self._placed(name)
-            joint = self.joint(number)
-            if channel != "tau_a":
-                found.append(joint.output(channel, x, u, p))
-                continue
-            torques = self.link_torques(x, u, p) if torques is None else torques
-            found.append(joint.sensing.read(channel, torques[number], 0.0, x, p))
-        return found
+        placed = [self._placed(name) for name in names]
+        torques = self.link_torques(x, u, p, directions) if "tau_a" in dict(placed) else {}
+        return [self.joint(n).output(channel, x, u, p, torques.get(n)) for channel, n in placed]
 
 
 def _along(speeds: Rows, directions: Directions) -> tuple[list[Tensor], list[Tensor]]:

@@ -655,8 +655,8 @@ class Joint:
         torques = [part.torque(p[key], angle, speed) for key, part in self.loads]
         return sum_of([*torques, *(part.torque(p[key], logged) for key, part in self.logged)], angle)
 
-    def output(self, channel: str, x: Rows, u: Channels, p: Views) -> Tensor:
-        """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""
+    def output(self, channel: str, x: Rows, u: Channels, p: Views, torque: Tensor | None = None) -> Tensor:
+        """A measured output by channel (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``, ``tau_a``), ``(B,)``."""
         row, seen = self.positions[0], 0.0
         if channel in ("q_m", "v_m"):
             value, seen = x[row + (channel == "v_m")], 1.0
@@ -667,6 +667,8 @@ class Joint:
             value = self.drive.torque(x, u, p)
         elif channel == "i":
             value = self.drive.current(x, u, p)
+        elif channel == "tau_a" and torque is not None:
+            value = torque
         elif (added := self.networks.output(channel.removeprefix("r_"), x, u, p)) is not None:
             value = added
         else:
