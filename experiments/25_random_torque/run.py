@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import torch
-from search import Search
+from posterior import parts_of, posterior, text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
@@ -18,14 +18,10 @@ def main() -> None:
     parser.add_argument("--model", type=Path)
     wish = parser.parse_args()
     torch.set_num_threads(1)
-    dataset, begin = Dataset.load(wish.folder), time.perf_counter()
-    search = Search(load_model(wish.model or wish.folder / "model.yaml"), dataset.train or dataset.records)
-    best = search.run()
-    for i in best.likelihood.free:
-        print(f"{best.system.table[i].name}: {float(best.end.theta[i]):.5g}")
-    for (name, k), value in zip(best.likelihood.entries, best.end.logs.exp().tolist(), strict=True):
-        print(f"{name} {k + 1}: {value:.4g}")
-    print(f"{search.fits} fits in {time.perf_counter() - begin:.0f} s")
+    begin, system = time.perf_counter(), load_model(wish.model or wish.folder / "model.yaml")
+    parts = parts_of(system, Dataset.load(wish.folder))
+    print(text(posterior(parts)))
+    print(f"{sum(part.fits for part in parts.values())} fits in {time.perf_counter() - begin:.0f} s")
 
 
 if __name__ == "__main__":

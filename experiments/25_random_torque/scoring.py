@@ -1,0 +1,244 @@
+"""Parameters and noise that suit records best, by Fisher's scoring from finite differences of the prediction errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from sigma_points import Likelihood
+from torch import Tensor
+
+from hybrid_id.identification.least_squares import Bounds, bounded_lm_step
+
+ITERATIONS, NATS = 30, 0.1
+"""Of a fit at most; gain below which it ends."""
+ASIDE, LOG_ASIDE = 1e-2, 0.02
+"""Differences by which errors are differentiated, of a parameter's size, over which jumps of friction average out, and
+of the noise's logarithms."""
+REACH = (-0.6, 1.5)
+"""Largest step of a parameter, over its size."""
+FACTORS = (0.1, 1.0, 10.0, 100.0)
+"""Of the damping, tried side by side."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Of the free values: Gaussian about a mean, of the logarithm where a value is a size above zero.
+
+    Attributes:
+        names: of the values.
+        bounds: their box.
+        mean: middle of each, ``(n_f,)``.
+        sizes: whether it is the logarithm's.
+        precision: of all, ``(n_f, n_f)``.
+        vary: by which share of itself each differs from record to record, as a standard deviation, ``(n_f,)``.
+        fixed: whether the values stay and only the noise is estimated.
+    """
+
+    names: tuple[str, ...]
+    bounds: Bounds
+    mean: Tensor
+    sizes: Tensor
+    precision: Tensor
+    vary: Tensor
+    fixed: bool = False
+
+    def at(self, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Cost at some values, its gradient, and its Gauss-Newton matrix."""
+        size = torch.where(self.sizes, values.clamp_min(1e-12 * self.mean.abs()), 1.0)
+        off = torch.where(
+            self.sizes, (size / torch.where(self.sizes, self.mean, 1.0)).log(), values - self.mean
+        )
+        pull = self.precision @ off
+        return 0.5 * off @ pull, pull / size, self.precision / torch.outer(size, size)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where :func:`estimate` ends.
+
+    Attributes:
+        theta: all parameters, ``(n_p,)``.
+        logs: logarithms of the noise.
+        cost: minus the logarithm of likelihood and prior, what differs from record to record integrated out.
+        each: of it what each record's likelihood is, ``(R,)``.
+        own: by how many of its standard deviations each value that varies differs in each record, ``(R, n_v)``.
+        varying: names of these.
+        status: "converged", "stalled" or "max_iterations".
+        errors, variances: white prediction errors and logarithms of their variances, ``(R, T, n_y)``.
+        names: of the values that were free, and of the noise behind them.
+        by_error, by_variance: slopes of errors and variances by these, ``(N, n)``.
+        precision: of the free values' prior, ``(n_f, n_f)``.
+        hessian: of the cost by the free values, the noise eliminated.
+        history: cost after each iteration.
+    """
+
+    theta: Tensor
+    logs: Tensor
+    cost: float
+    each: Tensor
+    own: Tensor
+    varying: tuple[str, ...]
+    status: str
+    errors: Tensor
+    variances: Tensor
+    names: tuple[str, ...]
+    by_error: Tensor
+    by_variance: Tensor
+    precision: Tensor
+    hessian: Tensor
+    history: tuple[float, ...]
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the marginal likelihood, by Laplace."""
+        return -self.cost - 0.5 * float(torch.logdet(self.hessian) - torch.logdet(self.precision))
+
+
+def estimate(
+    likelihood: Likelihood,
+    prior: Prior,
+    *,
+    near: Estimate | None = None,
+    iterations: int = ITERATIONS,
+    quick: bool = False,
+) -> Estimate:
+    """The likeliest values and noise from the system's own values.
+
+    Args:
+        likelihood: of the records.
+        prior: of the free values.
+        near: of a model beside this one, whose noise is the first, and the records' own values.
+        iterations: at most.
+        quick: whether the slopes by the values that both have are taken from there.
+    """
+    theta, free = likelihood.system.theta().detach().clone(), [] if prior.fixed else likelihood.free
+    bounds, count, records = prior.bounds, len(free), len(likelihood.batch.y)
+    names = (*(prior.names if free else ()), *(f"{name} {k}" for name, k in likelihood.entries))
+    logs, known = likelihood.first if near is None else near.logs, near if quick else None
+    damping, history, status = 1e-2, list[float](), "max_iterations"
+    new = [k for k, name in enumerate(names) if known is None or name not in known.names]
+    same = [k for k in range(len(names)) if k not in new]
+    if known is not None:
+        there = [known.names.index(names[k]) for k in same]
+    varies = prior.vary.nonzero().flatten().tolist() if free else []
+    off = theta.new_zeros(records, len(varies))  # of each record's own values, in their standard deviations
+    identity = torch.eye(len(varies)).to(theta)
+    varying = tuple(names[k] for k in varies)
+    for k, name in enumerate(varying):
+        if near is not None and name in near.varying:
+            off[:, k] = near.own[:, near.varying.index(name)]
+
+    def of_records(guesses: Tensor, off: Tensor) -> Tensor:
+        """All parameters ``(n_p, K, R)`` of guesses ``(n_p, K)``."""
+        found = guesses[:, :, None].repeat(1, 1, records)
+        rows = [free[k] for k in varies]
+        spread = prior.vary[varies] * torch.maximum(guesses[rows].abs().mT, bounds.scale[varies])
+        found[rows] += (spread[:, None] * off).permute(2, 0, 1)
+        low, high = (bound[varies][:, None, None] for bound in (bounds.lower, bounds.upper))
+        found[rows] = torch.maximum(torch.minimum(found[rows], high), low)
+        return found
+
+    def each(white: Tensor, logarithms: Tensor, off: Tensor) -> Tensor:
+        """Cost of each record."""
+        return 0.5 * ((white.square() + logarithms).view(records, -1).sum(1) + off.square().sum(1))
+
+    moved_on = True
+    for _ in range(iterations):
+        if moved_on:  # else only the damping is another one
+            values = theta[free]
+            size = torch.maximum(values.abs(), bounds.scale) if free else values
+            aside = ASIDE * size
+            aside = torch.where(values + aside < bounds.upper, aside, -aside) if free else values
+            steps = torch.cat([aside, torch.full_like(logs, LOG_ASIDE)])
+            guesses = theta[:, None].repeat(1, 1 + len(new))
+            noises = logs.repeat(1 + len(new), 1)
+            for column, k in enumerate(new, 1):
+                if k < count:
+                    guesses[free[k], column] += steps[k]
+                else:
+                    noises[column, k - count] += steps[k]
+            errors, variances = (
+                part.flatten(1) for part in likelihood.errors(of_records(guesses, off), noises)
+            )
+            by_error, by_variance = (errors.new_empty(errors.shape[1], len(names)) for _ in range(2))
+            by_error[:, new] = ((errors[1:] - errors[0]) / steps[new, None]).T
+            by_variance[:, new] = ((variances[1:] - variances[0]) / steps[new, None]).T
+            if known is not None:
+                by_error[:, same], by_variance[:, same] = (
+                    known.by_error[:, there],
+                    known.by_variance[:, there],
+                )
+            own_error, own_variance = (part.view(records, -1, len(names)) for part in (by_error, by_variance))
+            apart = own_error + 0.5 * errors[0].view(records, -1, 1) * own_variance
+            fishers = apart.mT @ apart + 0.5 * own_variance.mT @ own_variance
+            slopes = 0.5 * own_variance.sum(1) + torch.einsum(
+                "rn,rnk->rk", errors[0].view(records, -1), own_error
+            )
+            spread = prior.vary[varies] * size[varies] if free else off[0]
+            across = fishers[:, varies] * spread[:, None]
+            inner = across[:, :, varies] * spread + identity
+            pull = slopes[:, varies] * spread + off
+            back = torch.linalg.solve(inner, across)
+            widened = 0.5 * torch.linalg.slogdet(inner)[1]
+            fisher = (fishers - across.mT @ back).sum(0)
+            gradient = (slopes - torch.einsum("rvk,rv->rk", back, pull)).sum(0)
+            cost = float((each(errors[0], variances[0], off) + widened).sum())
+            if free:
+                more, slope, precision = prior.at(values)
+                cost += float(more)
+                gradient[:count] += slope
+                fisher[:count, :count] += precision
+            history = history or [cost]
+            fisher[range(count, len(steps)), range(count, len(steps))] += 1e-3
+            low, high = likelihood.low - logs, likelihood.high - logs
+            low, high = low.clamp_min(-2.0), high.clamp_max(2.0)
+            if free:
+                low = torch.cat([torch.maximum(bounds.lower - values, REACH[0] * size), low])
+                high = torch.cat([torch.minimum(bounds.upper - values, REACH[1] * size), high])
+        unit = fisher.diagonal().clamp_min(1e-300).rsqrt()
+        moved, offs = [], []
+        for factor in FACTORS if known is None else FACTORS[1:]:
+            parts = (
+                part[None]
+                for part in (fisher, gradient, unit, torch.full_like(unit, factor * damping), low, high)
+            )
+            moved.append(bounded_lm_step(*parts)[0][0] * unit)
+            turn = torch.linalg.solve(inner, (pull + across @ moved[-1])[..., None])[..., 0]
+            offs.append(off - turn / (1.0 + factor * damping))
+        guesses = theta[:, None].repeat(1, len(moved))
+        guesses[free] += torch.stack(moved)[:, :count].T
+        tried = torch.stack([of_records(guesses[:, k : k + 1], own)[:, 0] for k, own in enumerate(offs)], 1)
+        noises = logs + torch.stack(moved)[:, count:]
+        found = [part.flatten(1) for part in likelihood.errors(tried, noises)]
+        costs = [
+            float((each(e, v, own) + widened).sum()) + (float(prior.at(guesses[free, k])[0]) if free else 0.0)
+            for k, (e, v, own) in enumerate(zip(*found, offs, strict=True))
+        ]
+        best = min(range(len(costs)), key=lambda k: costs[k] if math.isfinite(costs[k]) else math.inf)
+        moved_on = costs[best] < cost
+        if not moved_on:
+            damping *= FACTORS[-1] / FACTORS[0]
+            if damping > 1e8:
+                status = "stalled"
+                break
+            continue
+        theta, logs, off = guesses[:, best].clone(), noises[best], offs[best]
+        damping = max(damping * FACTORS[best], 1e-10)
+        errors, variances = found[0][best][None], found[1][best][None]
+        history.append(costs[best])
+        if cost - costs[best] < NATS:
+            status = "converged"
+            break
+    noise = fisher[count:, count:]
+    hessian = fisher[:count, :count] - fisher[:count, count:] @ torch.linalg.solve(
+        noise, fisher[count:, :count]
+    )
+    precision = prior.at(theta[free])[2] if free else hessian
+    shape = likelihood.batch.y.shape
+    return Estimate(
+        theta, logs, history[-1], each(errors[0], variances[0], off) + widened, off, varying, status,
+        errors[0].view(shape), variances[0].view(shape), names, by_error, by_variance, precision, hessian,
+        tuple(history),
+    )  # fmt: skip
