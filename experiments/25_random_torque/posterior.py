@@ -124,11 +124,7 @@ class Model:
     @cached_property
     def alone(self) -> float:
         """Mean square of its errors while it runs by itself for :data:`SOON` samples, over the outputs' variances."""
-        batch = self.likelihood.batch
-        errors = self.likelihood.ahead(self.end.theta[:, None], self.end.logs[None], SOON)
-        return float(
-            (errors / batch.std(batch.y).mean(0).clamp_min(1e-12)).square().sum().nan_to_num(math.inf)
-        )
+        return float(self.likelihood.alone(self.end.theta[:, None], self.end.logs[None], SOON))
 
     @property
     def estimates(self) -> dict[str, tuple[float, float]]:
@@ -154,14 +150,13 @@ class Answer:
     """What a machine's gap consists of.
 
     Attributes:
-        nominal, model: as the user believes it, and with all that was found.
+        model: with all that was found.
         amounts: what each cause and changed value, and the rest of the values, take of the nominal model's squares.
         whole, left: these, and what stays.
         probabilities: of causes, over sets and draws of the records' pieces.
         rivals: of each cause, causes that take its place with so many nats less.
     """
 
-    nominal: Model
     model: Model
     amounts: Mapping[str, float]
     whole: float
@@ -387,11 +382,10 @@ class Part:
         for keep, iterations in STAGES:
             grown = sorted(grown, key=lambda tried: -tried.total)[:keep]
             grown = [self.fit(tried.there, tried.causes, tried, iterations) for tried in grown]
-        if not model.causes:  # from the data sheet too, where the optimum without the cause misled
-            for tried in grown[:1]:
-                own = {info.name for info in tried.system.table}
-                values = {name: value for name, value in self.sheet.items() if name in own}
-                grown.append(self.fit(tried.system.with_values(values), tried.causes))
+        if grown and not model.causes:  # from the data sheet too, where the optimum without the cause misled
+            own = {info.name for info in grown[0].system.table}
+            values = {name: value for name, value in self.sheet.items() if name in own}
+            grown.append(self.fit(grown[0].system.with_values(values), grown[0].causes))
         best = dict[frozenset[Cause], Model]()
         for tried in (*ranked, *again, *grown):  # what was estimated longest stands
             best[tried.causes] = tried
@@ -440,7 +434,7 @@ class Part:
             for cause in every
         }
         amounts, whole, left = self.shares(base, best)
-        return Answer(base, best, amounts, whole, left, probabilities, rivals)
+        return Answer(best, amounts, whole, left, probabilities, rivals)
 
     def shares(self, base: Model, best: Model) -> tuple[dict[str, float], float, float]:
         """What each cause and each value that surely moved takes of the nominal model's squared errors.
@@ -450,17 +444,8 @@ class Part:
         Returns:
             Amounts by name, the nominal model's squares, and what stays.
         """
-        quiet = estimate(base.likelihood, replace(base.prior, fixed=True), near=base.end).logs
-        spread = base.likelihood.batch.std(base.likelihood.batch.y).mean(0).clamp_min(1e-12)
-
+        quiet = estimate(base.likelihood, base.prior.none(), near=base.end).logs
         every = max(2, round(AHEAD / base.likelihood.batch.sample_time))
-
-        def squares(likelihood: Likelihood, theta: Tensor) -> list[float]:
-            """Of each guess ``(n_p, K)``."""
-            logs = quiet if len(quiet) == len(likelihood.first) else likelihood.first
-            errors = likelihood.ahead(theta, logs.expand(theta.shape[1], -1), every)
-            return (errors / spread).square().sum((1, 2, 3)).nan_to_num(math.inf).tolist()
-
         players = {str(cause): list(cause.values) for cause in sorted(best.causes)}
         taken, moved = {name for names in players.values() for name in names}, dict[str, float]()
         for name, (value, std) in best.estimates.items():
@@ -487,7 +472,9 @@ class Part:
                         for name in players[player]:
                             if name in row:
                                 theta[row[name], k] = self.sheet[name]
-                found = squares(self.likelihood(system), theta)
+                likelihood = self.likelihood(system)
+                logs = quiet if len(quiet) == len(likelihood.first) else likelihood.first
+                found = likelihood.alone(theta, logs.expand(len(sets), -1), every).tolist()
                 left |= {values | set(kept): found[k] for k, values in enumerate(sets)}
         return shapley([*players], left), left[frozenset()], left[frozenset(players)]
 
@@ -556,7 +543,6 @@ def posterior(parts: Mapping[str, Part], say: Callable[[str], None] = print) -> 
         _, chosen = max(choices, key=lambda choice: choice[0])
         stale = list(chosen)
         for name, model in chosen.items():
-            (cause,) = model.causes - best[name].causes
             model = parts[name].fit(model.there, model.causes, model)
             found = parts[name].pruned(model)
             if found.causes == best[name].causes:  # a circle

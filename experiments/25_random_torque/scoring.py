@@ -33,7 +33,6 @@ class Prior:
         sizes: whether it is the logarithm's.
         precision: of all, ``(n_f, n_f)``.
         vary: by which share of itself each differs from record to record, as a standard deviation, ``(n_f,)``.
-        fixed: whether the values stay and only the noise is estimated.
     """
 
     names: tuple[str, ...]
@@ -42,7 +41,11 @@ class Prior:
     sizes: Tensor
     precision: Tensor
     vary: Tensor
-    fixed: bool = False
+
+    def none(self) -> Prior:
+        """Of no value: all stay, and only the noise is estimated."""
+        bounds = Bounds(*(value[:0] for value in vars(self.bounds).values()))
+        return Prior((), bounds, self.mean[:0], self.sizes[:0], self.precision[:0, :0], self.vary[:0])
 
     def at(self, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Cost at some values, its gradient, and its Gauss-Newton matrix."""
@@ -113,16 +116,17 @@ def estimate(
         iterations: at most.
         quick: whether the slopes by the values that both have are taken from there.
     """
-    theta, free = likelihood.system.theta().detach().clone(), [] if prior.fixed else likelihood.free
+    theta, table = likelihood.system.theta().detach().clone(), likelihood.system.table
+    free = [i for i, info in enumerate(table) if info.name in prior.names]
     bounds, count, records = prior.bounds, len(free), len(likelihood.batch.y)
-    names = (*(prior.names if free else ()), *(f"{name} {k}" for name, k in likelihood.entries))
+    names = (*prior.names, *(f"{name} {k}" for name, k in likelihood.entries))
     logs, known = likelihood.first if near is None else near.logs, near if quick else None
     damping, history, status = 1e-2, list[float](), "max_iterations"
     new = [k for k, name in enumerate(names) if known is None or name not in known.names]
     same = [k for k in range(len(names)) if k not in new]
     if known is not None:
         there = [known.names.index(names[k]) for k in same]
-    varies = prior.vary.nonzero().flatten().tolist() if free else []
+    varies = prior.vary.nonzero().flatten().tolist()
     off = theta.new_zeros(records, len(varies))  # of each record's own values, in their standard deviations
     identity = torch.eye(len(varies)).to(theta)
     varying = tuple(names[k] for k in varies)
@@ -148,9 +152,9 @@ def estimate(
     for _ in range(iterations):
         if moved_on:  # else only the damping is another one
             values = theta[free]
-            size = torch.maximum(values.abs(), bounds.scale) if free else values
+            size = torch.maximum(values.abs(), bounds.scale)
             aside = ASIDE * size
-            aside = torch.where(values + aside < bounds.upper, aside, -aside) if free else values
+            aside = torch.where(values + aside < bounds.upper, aside, -aside)
             steps = torch.cat([aside, torch.full_like(logs, LOG_ASIDE)])
             guesses = theta[:, None].repeat(1, 1 + len(new))
             noises = logs.repeat(1 + len(new), 1)
@@ -176,7 +180,7 @@ def estimate(
             slopes = 0.5 * own_variance.sum(1) + torch.einsum(
                 "rn,rnk->rk", errors[0].view(records, -1), own_error
             )
-            spread = prior.vary[varies] * size[varies] if free else off[0]
+            spread = prior.vary[varies] * size[varies]
             across = fishers[:, varies] * spread[:, None]
             inner = across[:, :, varies] * spread + identity
             pull = slopes[:, varies] * spread + off
@@ -184,19 +188,15 @@ def estimate(
             widened = 0.5 * torch.linalg.slogdet(inner)[1]
             fisher = (fishers - across.mT @ back).sum(0)
             gradient = (slopes - torch.einsum("rvk,rv->rk", back, pull)).sum(0)
-            cost = float((each(errors[0], variances[0], off) + widened).sum())
-            if free:
-                more, slope, precision = prior.at(values)
-                cost += float(more)
-                gradient[:count] += slope
-                fisher[:count, :count] += precision
+            more, slope, precision = prior.at(values)
+            cost = float((each(errors[0], variances[0], off) + widened).sum()) + float(more)
+            gradient[:count] += slope
+            fisher[:count, :count] += precision
             history = history or [cost]
             fisher[range(count, len(steps)), range(count, len(steps))] += 1e-3
-            low, high = likelihood.low - logs, likelihood.high - logs
-            low, high = low.clamp_min(-2.0), high.clamp_max(2.0)
-            if free:
-                low = torch.cat([torch.maximum(bounds.lower - values, REACH[0] * size), low])
-                high = torch.cat([torch.minimum(bounds.upper - values, REACH[1] * size), high])
+            low, high = (likelihood.low - logs).clamp_min(-2.0), (likelihood.high - logs).clamp_max(2.0)
+            low = torch.cat([torch.maximum(bounds.lower - values, REACH[0] * size), low])
+            high = torch.cat([torch.minimum(bounds.upper - values, REACH[1] * size), high])
         unit = fisher.diagonal().clamp_min(1e-300).rsqrt()
         moved, offs = [], []
         for factor in FACTORS if known is None else FACTORS[1:]:
@@ -213,7 +213,7 @@ def estimate(
         noises = logs + torch.stack(moved)[:, count:]
         found = [part.flatten(1) for part in likelihood.errors(tried, noises)]
         costs = [
-            float((each(e, v, own) + widened).sum()) + (float(prior.at(guesses[free, k])[0]) if free else 0.0)
+            float((each(e, v, own) + widened).sum()) + float(prior.at(guesses[free, k])[0])
             for k, (e, v, own) in enumerate(zip(*found, offs, strict=True))
         ]
         best = min(range(len(costs)), key=lambda k: costs[k] if math.isfinite(costs[k]) else math.inf)
@@ -235,7 +235,7 @@ def estimate(
     hessian = fisher[:count, :count] - fisher[:count, count:] @ torch.linalg.solve(
         noise, fisher[count:, :count]
     )
-    precision = prior.at(theta[free])[2] if free else hessian
+    precision = prior.at(theta[free])[2]
     shape = likelihood.batch.y.shape
     return Estimate(
         theta, logs, history[-1], each(errors[0], variances[0], off) + widened, off, varying, status,

@@ -106,8 +106,10 @@ void predict(const Equations *e, double *white, double *logs, double *ahead, dou
                 h[l] = dt[here];
                 moves |= h[l] != 0.0;
                 OUTPUTS sees |= variance[here * outputs + o] > 0.0;
-                for (long i = 0; i < e->channels; i++) held[i][l] = u[i][row[l] % u_rows[i] * samples + t];
             }
+            if (!moves && !sees && !path) continue; /* behind the ends of these lanes' records */
+            for (long i = 0; i < e->channels; i++)
+                EACH_LANE held[i][l] = u[i][row[l] % u_rows[i] * samples + t];
             e->hold(held, values, fixed);
             if (sees) {
                 spread(z, m, P, tiny, L, X);

@@ -127,6 +127,11 @@ class Likelihood:
         """
         return self._filtered(theta, logs, every=every)[2]
 
+    def alone(self, theta: Tensor, logs: Tensor, every: int) -> Tensor:
+        """Sum of the squares of these errors over the outputs' variances, ``(K,)``; infinite for a lost model."""
+        spread = self.batch.std(self.batch.y).mean(0).clamp_min(1e-12)
+        return (self.ahead(theta, logs, every) / spread).square().sum((1, 2, 3)).nan_to_num(math.inf)
+
     def torque(self, theta: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
         """Random torques given the whole records [rad/s^2], and their standard deviations, ``(K, R, T, n)`` each.
 
