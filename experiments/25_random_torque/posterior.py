@@ -27,7 +27,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.stability import fastest_rate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.by_joint import (
     joint_parts,
@@ -47,16 +47,14 @@ CHANGED = 1.5
 """The same of a value that has changed for a reason of its own."""
 PRICE = math.log(2.0) + math.log(25.0)
 """What a further cause must bring: even odds that there is one, times as many that it might be."""
-FASTEST = 500.0
-"""Sub-steps a second at most: what swings faster is damped away."""
-AFAR, NEAREST = 4, 1
+FOLLOWED, FASTEST = 1.0, 500.0
+"""Largest step times the fastest eigenvalue, and sub-steps a second at most: what swings faster is damped away."""
+LOST = (0.8, 0.4, 0.1)
+"""Shares of the largest torque, and of the damping at which a loop does not swing: where a lost value is sought."""
+AFAR, NEAREST = 8, 1
 """Iterations of a first look at a model with other states, and from how many start points."""
-AGAIN = 15
-"""How many of the best first looks are taken a second time."""
-SMALL = 0.02
-"""Share of what all causes have gained below which a further one is not looked for beyond."""
-STAGES, MOST = ((4, 4), (2, 20)), 5
-"""How many of the best are estimated on, and with how many iterations; causes at most."""
+FEW, NEXT, DEEP, MOST = 4, 6, 3, 5
+"""Iterations by which the best first looks go on, how many do so, and how many to their ends; causes at most."""
 WAVES, STARTS, REPEATED = 200, 3, 2.0
 """Waves of a torque over the rotor's angle a turn at most; start points; waves over all motion at least."""
 PIECES, DRAWS = 8, 400
@@ -64,6 +62,8 @@ PIECES, DRAWS = 8, 400
 AHEAD, SOON = 0.5, 10
 """For how long a model runs by itself where shares are counted [s], and samples over which a cause must not make it
 err more."""
+SURELY = 2.0
+"""Standard errors from which a cause errs more."""
 SURE, NOMINAL, BEYOND, NAMED = 3.0, 0.02, 2.0, 6
 """Standard errors from which a value has moved; what no data sheet is better than; tolerances beyond which a value is a
 cause of its own; values at most that shares name."""
@@ -122,9 +122,9 @@ class Model:
         return self.system.with_values(values)
 
     @cached_property
-    def alone(self) -> float:
-        """Mean square of its errors while it runs by itself for :data:`SOON` samples, over the outputs' variances."""
-        return float(self.likelihood.alone(self.end.theta[:, None], self.end.logs[None], SOON))
+    def alone(self) -> Tensor:
+        """Squares of its errors while it runs by itself for :data:`SOON` samples, by piece of the records."""
+        return in_pieces(self.likelihood.alone(self.end.theta[:, None], self.end.logs[None], SOON)[0])
 
     @property
     def estimates(self) -> dict[str, tuple[float, float]]:
@@ -136,13 +136,11 @@ class Model:
             for i, std in zip(free, spread, strict=True)
         }
 
-    def pieces(self, most: int) -> Tensor:
+    def pieces(self, most: int = PIECES) -> Tensor:
         """Logarithm of the likelihood of each of some pieces of the records."""
         if len(self.end.each) >= most:
             return -self.end.each
-        left = -0.5 * (self.end.errors.square() + self.end.variances).sum(2)
-        parts = math.ceil(most / len(left))
-        return torch.cat([part.sum(1) for part in left.tensor_split(parts, 1)])
+        return in_pieces(-0.5 * (self.end.errors.square() + self.end.variances).sum(2))
 
 
 @dataclass(frozen=True)
@@ -179,15 +177,21 @@ class Part:
         nominal.aliases = {
             (i.component, i.symbol): i.name for i in nominal.table
         }  # whatever is added, names stay
+        self.usual = dict[str, float]()
         self.visited: dict[frozenset[Cause], Model] = {}
 
     def likelihood(self, system: System) -> Likelihood:
         """Of the records under a model."""
         batch = make_batch(system, self.records, signal_share=0.0)
         theta = system.theta().detach()[:, None].expand(-1, batch.rows)
-        engine = with_substeps(system, compiled_for(system, Engine()), batch, theta)
-        most = max(1, math.ceil(FASTEST * batch.sample_time))
-        return Likelihood(system, replace(engine, substeps=min(engine.substeps, most)), batch)
+        engine = compiled_for(system, Engine())
+        rate = min(
+            fastest_rate(system, engine, batch, theta) / (FOLLOWED if not system.memory_rows else 0.3),
+            FASTEST,
+        )
+        return Likelihood(
+            system, replace(engine, substeps=max(1, math.ceil(rate * batch.sample_time))), batch
+        )
 
     def fit(
         self,
@@ -209,10 +213,8 @@ class Part:
         """
         self.fits += 1
         likelihood = self.likelihood(system)
-        if (
-            near is not None and system.state_names != near.system.state_names
-        ):  # its states are followed from afar
-            near, quick = None, False
+        if near is not None and len(system.speed_rows) != len(near.system.speed_rows):
+            near, quick = None, False  # a further body is followed from afar
         prior = self.prior(system, likelihood, causes)
         beside = None if near is None else near.end
         end = estimate(likelihood, prior, near=beside, iterations=iterations, quick=quick)
@@ -228,17 +230,19 @@ class Part:
         names = [system.table[i].name for i in free]
         mean, spread = start.clone(), torch.full_like(start, OWN)
         for k, name in enumerate(names):
-            if name in self.sheet:
+            if name in self.sheet and not self.idle(name):
                 mean[k], spread[k] = self.sheet[name], FRICTION if name.startswith("F_") else TOLERANCE
-        own = torch.tensor([name not in self.sheet for name in names], dtype=torch.bool)
+            else:  # of the size at which it was first tried
+                mean[k] = self.usual.setdefault(name, float(start[k]))
+        own = torch.tensor([name in self.usual for name in names], dtype=torch.bool)
         plain = (bounds.lower < 0) | (mean <= 0)
-        slab = SLAB * torch.maximum(start.abs(), bounds.scale)
+        slab = SLAB * torch.maximum(mean.abs(), bounds.scale)
         loose = 10.0 * torch.maximum(mean.abs(), bounds.scale)
         mean = torch.where(plain & own, torch.zeros_like(mean), mean)
         covariance = torch.diag(torch.where(plain, torch.where(own, slab, loose), spread).square())
         for cause in causes:
             rows = [names.index(name) for name in cause.values]
-            if rows:
+            if rows and not own[rows].any():
                 covariance[rows, rows] = 0.01
                 covariance[torch.tensor(rows)[:, None], torch.tensor(rows)] += CHANGED**2
         given = bounds.prior_precision
@@ -249,31 +253,43 @@ class Part:
     def candidates(self, model: Model) -> Iterator[tuple[Cause, System]]:
         """Every cause beside a model, at each of its start points."""
         there, rows = model.there, {info.name: info for info in model.there.table}
-        groups = [
-            (name,)
-            for name, value in self.sheet.items()
-            if value and rows.get(name) and rows[name].spec.value
-        ]
-        for key, part in there.components.items():  # a loop's gains are set together
-            if isinstance(part, ServoLoop):
-                gains = tuple(
-                    i.name
-                    for i in there.table
-                    if i.component == key and i.symbol.startswith("k_") and self.sheet.get(i.name)
-                )
-                groups += [gains] if len(gains) > 1 else []
-        for group in groups:
+        groups = dict[tuple[str, ...], list[dict[str, float]]]()
+        for name, sheet in self.sheet.items():
+            if name in rows and sheet and rows[name].spec.value and not self.idle(name):
+                groups[name,] = [{name: rows[name].spec.value}]
+        sizes = scales(there, model.likelihood.batch)
+        for key, part in there.components.items():  # a loop's gains and limits are set together
+            if not isinstance(part, ServoLoop):
+                continue
+            named = {i.symbol: i.name for i in there.table if i.component == key}
+            gains = tuple(name for s, name in named.items() if s.startswith("k_") and self.sheet.get(name))
+            if len(gains) > 1:
+                groups[gains] = [{name: rows[name].spec.value for name in gains}]
+            (size,) = (size for size in sizes if key.startswith(f"joint{size.joint}/"))
+            largest = {"tau_max": size.command}
+            if "k_p" in part.specs:  # as where the loop just does not swing
+                largest["k_d"] = 2.0 * math.sqrt(part.specs["k_p"].value * size.inertia) * size.ratio
+            lost = {
+                named[symbol]: [share * largest[symbol] for share in LOST]
+                for symbol in ("k_d", "tau_max")
+                if symbol in named and symbol in largest and self.idle(named[symbol])
+            }
+            for n in range(1, len(lost) + 1):
+                for names in itertools.combinations(lost, n):
+                    starts = itertools.product(*(lost[name] for name in names))
+                    groups[names] = [dict(zip(names, values, strict=True)) for values in starts]
+        for group, starts in groups.items():
             cause = Cause(",".join(group))
             free = [rows[name].spec.estimate for name in group]
-            if any(set(group) & set(other.values) for other in model.causes) or not all(
-                n in rows for n in group
-            ):
+            if any(set(group) & set(other.values) for other in model.causes):
                 continue
             if all(free) and all(abs(self.misses(model, name)) < BEYOND for name in group):
                 continue
-            with suppress(InputError):
-                yield cause, there.with_specs({n: replace(rows[n].spec, estimate=True) for n in group})
-        for size in scales(there, model.likelihood.batch):
+            for values in starts:
+                with suppress(InputError):
+                    specs = {n: replace(rows[n].spec.at(v), estimate=True) for n, v in values.items()}
+                    yield cause, there.with_specs(specs)
+        for size in sizes:
             for effect in CATALOGUE.values():
                 for where, models in with_effect(effect, there, size).items():
                     if any((cause.name, cause.where) == (effect.name, where) for cause in model.causes):
@@ -286,6 +302,13 @@ class Part:
                         )
                         shared = there.tree is not None and isinstance(law, Shared)
                         yield Cause(effect.name, where, getattr(law, "point", ""), shared), system
+
+    def idle(self, name: str) -> bool:
+        """Whether a held value is at the end of what is declared for it, where it does nothing."""
+        info = next(info for info in self.nominal.table if info.name == name)
+        law = cast("dict[str, Component]", dict(self.nominal.components.items()))[info.component]
+        declared = law.declared[info.symbol]
+        return not info.spec.estimate and self.sheet[name] in (declared.lower, declared.upper)
 
     def misses(self, model: Model, name: str) -> float:
         """By how many of its tolerances a value misses its data sheet."""
@@ -350,48 +373,42 @@ class Part:
         raise KeyError(str(cause))
 
     def look(self, model: Model) -> list[Model]:
-        """The model with each further cause, likeliest first; the best of them estimated to their ends."""
-        starts, first = dict[Cause, list[System]](), dict[Cause, list[Model]]()
-        for cause, system in self.candidates(model):
-            starts.setdefault(cause, []).append(system)
-        for cause, systems in starts.items():
-            # a model with other states has to be followed from afar: only from where its errors begin least
-            afar = systems[0].state_names != model.system.state_names or len(cause.values) > 1
-            if afar:
-                systems = sorted(systems, key=self.begins)[:NEAREST]
-            for system in systems:
-                with suppress(InputError):
-                    tried = self.fit(
-                        system,
-                        model.causes | {cause},
-                        model,
-                        AFAR * (1 + bool(cause.values)) if afar else 1,
-                        quick=not afar,
-                    )
-                    first.setdefault(cause, []).append(tried)
-        for models in first.values():
-            models.sort(key=lambda tried: -tried.total)
-        ranked = sorted((models[0] for models in first.values()), key=lambda tried: -tried.total)
-        again = [
-            tried
-            if tried.causes in self.visited
-            else self.fit(tried.there, tried.causes, model, 1, quick=True)
-            for tried in ranked[:AGAIN]
-        ]
-        grown = again
-        for keep, iterations in STAGES:
-            grown = sorted(grown, key=lambda tried: -tried.total)[:keep]
-            grown = [self.fit(tried.there, tried.causes, tried, iterations) for tried in grown]
-        if grown and not model.causes:  # from the data sheet too, where the optimum without the cause misled
-            own = {info.name for info in grown[0].system.table}
-            values = {name: value for name, value in self.sheet.items() if name in own}
-            grown.append(self.fit(grown[0].system.with_values(values), grown[0].causes))
+        """The model with each further cause, likeliest first; the best of them estimated to their ends.
+
+        From where the model's estimation ends, and from its data sheet's values, which what is missing has not bent.
+        """
+        sheet = {name: value for name, value in self.sheet.items() if name in model.estimates}
+        chosen = {name for cause in model.causes for name in cause.values}
+        system = model.there.with_values({n: v for n, v in sheet.items() if n not in chosen})
+        origins = [model, self.fit(system, model.causes, None, FEW)]
+        looked = list[Model]()
+        for origin in origins:
+            starts, first = dict[Cause, list[System]](), dict[Cause, Model]()
+            for cause, system in self.candidates(origin):
+                starts.setdefault(cause, []).append(system)
+            for cause, systems in starts.items():
+                # a further body has to be followed from afar: only from where its errors begin least
+                afar = len(systems[0].speed_rows) != len(model.system.speed_rows) or len(cause.values) > 1
+                if afar and origin is not model:
+                    continue
+                if afar:
+                    systems = sorted(systems, key=self.begins)[:NEAREST]
+                for system in systems:
+                    with suppress(InputError):
+                        causes = model.causes | {cause}
+                        tried = self.fit(system, causes, origin, AFAR if afar else 1, quick=not afar)
+                        if cause not in first or tried.total > first[cause].total:
+                            first[cause] = tried
+            ranked = sorted(first.values(), key=lambda tried: -tried.total)
+            looked += [self.fit(tried.there, tried.causes, tried, FEW) for tried in ranked[:NEXT]] + ranked[
+                NEXT:
+            ]
+        looked.sort(key=lambda tried: -tried.total)
+        looked[:DEEP] = [self.fit(tried.there, tried.causes, tried) for tried in looked[:DEEP]]
         best = dict[frozenset[Cause], Model]()
-        for tried in (*ranked, *again, *grown):  # what was estimated longest stands
-            best[tried.causes] = tried
-        for tried in grown:
-            best[tried.causes] = max(best[tried.causes], tried, key=lambda model: model.total)
-        return sorted(best.values(), key=lambda tried: -tried.total)
+        for tried in sorted(looked, key=lambda tried: -tried.total):
+            best.setdefault(tried.causes, tried)
+        return list(best.values())
 
     def begins(self, system: System) -> float:
         """Cost of a model as it is, under the strongest noise."""
@@ -444,12 +461,12 @@ class Part:
         Returns:
             Amounts by name, the nominal model's squares, and what stays.
         """
-        quiet = estimate(base.likelihood, base.prior.none(), near=base.end).logs
+        quiet = dict[int, Tensor]()  # noise by the number of bodies, at the data sheet's values
         every = max(2, round(AHEAD / base.likelihood.batch.sample_time))
         players = {str(cause): list(cause.values) for cause in sorted(best.causes)}
         taken, moved = {name for names in players.values() for name in names}, dict[str, float]()
         for name, (value, std) in best.estimates.items():
-            if name in self.sheet and name not in taken:
+            if name in base.estimates and name not in taken:
                 sheet = self.sheet[name]
                 moved[name] = abs(value - sheet) / max(math.hypot(std, NOMINAL * abs(sheet)), 1e-300)
         surest = sorted((name for name in moved if moved[name] > SURE), key=lambda name: -moved[name])[:NAMED]
@@ -472,11 +489,28 @@ class Part:
                         for name in players[player]:
                             if name in row:
                                 theta[row[name], k] = self.sheet[name]
-                likelihood = self.likelihood(system)
-                logs = quiet if len(quiet) == len(likelihood.first) else likelihood.first
-                found = likelihood.alone(theta, logs.expand(len(sets), -1), every).tolist()
+                likelihood, bodies = self.likelihood(system), len(system.speed_rows)
+                if bodies not in quiet:
+                    quiet[bodies] = estimate(likelihood, best.prior.none()).logs
+                logs = quiet[bodies]
+                found = likelihood.alone(theta, logs.expand(len(sets), -1), every).sum((1, 2)).tolist()
                 left |= {values | set(kept): found[k] for k, values in enumerate(sets)}
         return shapley([*players], left), left[frozenset()], left[frozenset(players)]
+
+
+def in_pieces(by_sample: Tensor) -> Tensor:
+    """Sums over each of at least :data:`PIECES` pieces of the records of what samples have, ``(R, T)``."""
+    return torch.cat([part.sum(1) for part in by_sample.tensor_split(math.ceil(PIECES / len(by_sample)), 1)])
+
+
+def errs_more(models: Mapping[str, Model], than: Mapping[str, Model]) -> bool:
+    """Whether models surely err more than others while they run by themselves, over the records' pieces."""
+    more = torch.cat(
+        [(model.alone - than[name].alone) / than[name].alone.sum() for name, model in models.items()]
+    )
+    return not bool(more.isfinite().all()) or float(more.mean()) > SURELY * float(more.std()) / math.sqrt(
+        len(more)
+    )
 
 
 def shapley(players: Sequence[str], squares: Mapping[frozenset[str], float]) -> dict[str, float]:
@@ -532,12 +566,7 @@ def posterior(parts: Mapping[str, Part], say: Callable[[str], None] = print) -> 
             gain = sum(m.total - best[name].total + PRICE for name, m in models.items()) - PRICE
             choices.append((gain - apart(models, best), models))
         # whatever the likelihood says: a model that runs astray by itself is none
-        choices = [
-            (gain, models)
-            for gain, models in choices
-            if gain > SMALL * sum(model.total - base[name].total for name, model in best.items())
-            and sum(model.alone for model in models.values()) <= sum(best[name].alone for name in models)
-        ]
+        choices = [(gain, models) for gain, models in choices if gain > 0.0 and not errs_more(models, best)]
         if not choices:
             break
         _, chosen = max(choices, key=lambda choice: choice[0])
@@ -545,6 +574,8 @@ def posterior(parts: Mapping[str, Part], say: Callable[[str], None] = print) -> 
         for name, model in chosen.items():
             model = parts[name].fit(model.there, model.causes, model)
             found = parts[name].pruned(model)
+            if found.total < best[name].total:  # a hope that did not come true
+                found = best[name]
             if found.causes == best[name].causes:  # a circle
                 stale.remove(name)
                 grown[name] = []

@@ -11,15 +11,18 @@ from torch import Tensor
 
 from hybrid_id.identification.least_squares import Bounds, bounded_lm_step
 
-ITERATIONS, NATS = 30, 0.1
+ITERATIONS, NATS = 30, 0.03
 """Of a fit at most; gain below which it ends."""
-ASIDE, LOG_ASIDE = 1e-2, 0.02
-"""Differences by which errors are differentiated, of a parameter's size, over which jumps of friction average out, and
-of the noise's logarithms."""
+APART, LEAST, FIRST, LARGEST = 10.0, 1e-3, 0.03, 0.2
+"""Differences by which errors are differentiated: what moves all errors together by so many standard deviations, which
+jumps of friction at single samples are small beside; of a value's size the least, the first, and the largest."""
+LOG_ASIDE = 0.05
+"""The same of the noise's logarithms."""
 REACH = (-0.6, 1.5)
 """Largest step of a parameter, over its size."""
-FACTORS = (0.1, 1.0, 10.0, 100.0)
-"""Of the damping, tried side by side."""
+TRIES = ((0.0, 1.0), (0.0, 0.3), (1.0, 1.0), (30.0, 1.0))
+"""Steps tried side by side: factor of the damping, and share of the step; none at all goes along what records do not
+tell."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,33 @@ class Prior:
         return 0.5 * off @ pull, pull / size, self.precision / torch.outer(size, size)
 
 
+def differences(told: Tensor, values: Tensor, bounds: Bounds) -> Tensor:
+    """Differences of values within their box along the axes of what is known of them, a column each, ``(n, n)``.
+
+    Args:
+        told: Fisher's matrix of relative changes, ``(n, n)``.
+        values: where they start, ``(n,)``.
+        bounds: of these.
+    """
+    identity = torch.eye(len(values)).to(values)
+    if not len(values):
+        return identity
+    if not told.isfinite().all():  # the model is lost here
+        told = identity
+    size = torch.maximum(values.abs(), bounds.scale)
+    for axes in (torch.linalg.eigh(told)[1], identity):  # else one value at a time
+        lengths = APART / torch.einsum("ik,ij,jk->k", axes, told, axes).clamp_min(1e-12).sqrt()
+        aside = size[:, None] * axes * lengths.clamp(LEAST, LARGEST)
+        above, below = (bounds.upper - values)[:, None], (values - bounds.lower)[:, None]
+        ahead, behind = (
+            torch.where(way > 0, above / way, torch.where(way < 0, -below / way, 1.0)).clamp(0.0, 1.0).amin(0)
+            for way in (aside, -aside)
+        )
+        if bool((torch.maximum(ahead, behind) > 0.05).all()):
+            break
+    return aside * torch.where(ahead >= behind, ahead, -behind)
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Where :func:`estimate` ends.
@@ -91,6 +121,7 @@ class Estimate:
     by_variance: Tensor
     precision: Tensor
     hessian: Tensor
+    told: Tensor
     history: tuple[float, ...]
 
     @property
@@ -148,27 +179,38 @@ def estimate(
         """Cost of each record."""
         return 0.5 * ((white.square() + logarithms).view(records, -1).sum(1) + off.square().sum(1))
 
-    moved_on = True
+    size = torch.maximum(theta[free].abs(), bounds.scale)
+    told = torch.full_like(size, APART / FIRST).square().diag()  # Fisher's matrix of relative changes
+    if near is not None:
+        pairs = [(k, near.names.index(n)) for k, n in enumerate(prior.names) if n in near.names]
+        if pairs:
+            here, beside = (torch.tensor(rows) for rows in zip(*pairs, strict=True))
+            told[here[:, None], here] = near.told[beside[:, None], beside] * torch.outer(
+                size[here], size[here]
+            )
+    tries = TRIES if known is None else TRIES[::2]
+    moved_on, settled = True, known is not None  # the first axes are a guess
     for _ in range(iterations):
         if moved_on:  # else only the damping is another one
             values = theta[free]
             size = torch.maximum(values.abs(), bounds.scale)
-            aside = ASIDE * size
-            aside = torch.where(values + aside < bounds.upper, aside, -aside)
-            steps = torch.cat([aside, torch.full_like(logs, LOG_ASIDE)])
+            moving = torch.tensor([k for k in new if k < count], dtype=torch.long)
+            box = Bounds(*(value[moving] for value in vars(bounds).values()))
+            aside = differences(told[moving[:, None], moving], values[moving], box)
             guesses = theta[:, None].repeat(1, 1 + len(new))
+            guesses[torch.tensor(free, dtype=torch.long)[moving], 1 : 1 + len(moving)] += aside
             noises = logs.repeat(1 + len(new), 1)
             for column, k in enumerate(new, 1):
-                if k < count:
-                    guesses[free[k], column] += steps[k]
-                else:
-                    noises[column, k - count] += steps[k]
+                if k >= count:
+                    noises[column, k - count] += LOG_ASIDE
             errors, variances = (
                 part.flatten(1) for part in likelihood.errors(of_records(guesses, off), noises)
             )
             by_error, by_variance = (errors.new_empty(errors.shape[1], len(names)) for _ in range(2))
-            by_error[:, new] = ((errors[1:] - errors[0]) / steps[new, None]).T
-            by_variance[:, new] = ((variances[1:] - variances[0]) / steps[new, None]).T
+            back = torch.eye(len(new)).to(theta) / LOG_ASIDE  # slopes by values from differences along axes
+            back[: len(moving), : len(moving)] = torch.linalg.inv(aside)
+            by_error[:, new] = (errors[1:] - errors[0]).T @ back
+            by_variance[:, new] = (variances[1:] - variances[0]).T @ back
             if known is not None:
                 by_error[:, same], by_variance[:, same] = (
                     known.by_error[:, there],
@@ -193,20 +235,21 @@ def estimate(
             gradient[:count] += slope
             fisher[:count, :count] += precision
             history = history or [cost]
-            fisher[range(count, len(steps)), range(count, len(steps))] += 1e-3
+            fisher[range(count, len(names)), range(count, len(names))] += 1e-3
+            told = (fishers.sum(0)[:count, :count] + precision) * torch.outer(size, size)
             low, high = (likelihood.low - logs).clamp_min(-2.0), (likelihood.high - logs).clamp_max(2.0)
             low = torch.cat([torch.maximum(bounds.lower - values, REACH[0] * size), low])
             high = torch.cat([torch.minimum(bounds.upper - values, REACH[1] * size), high])
         unit = fisher.diagonal().clamp_min(1e-300).rsqrt()
         moved, offs = [], []
-        for factor in FACTORS if known is None else FACTORS[1:]:
+        for factor, share in tries:
             parts = (
                 part[None]
                 for part in (fisher, gradient, unit, torch.full_like(unit, factor * damping), low, high)
             )
-            moved.append(bounded_lm_step(*parts)[0][0] * unit)
+            moved.append(share * bounded_lm_step(*parts)[0][0] * unit)
             turn = torch.linalg.solve(inner, (pull + across @ moved[-1])[..., None])[..., 0]
-            offs.append(off - turn / (1.0 + factor * damping))
+            offs.append(off - share * turn / (1.0 + factor * damping))
         guesses = theta[:, None].repeat(1, len(moved))
         guesses[free] += torch.stack(moved)[:, :count].T
         tried = torch.stack([of_records(guesses[:, k : k + 1], own)[:, 0] for k, own in enumerate(offs)], 1)
@@ -218,19 +261,23 @@ def estimate(
         ]
         best = min(range(len(costs)), key=lambda k: costs[k] if math.isfinite(costs[k]) else math.inf)
         moved_on = costs[best] < cost
+        if not moved_on and not settled:
+            moved_on = settled = True
+            continue
         if not moved_on:
-            damping *= FACTORS[-1] / FACTORS[0]
+            damping *= 1e3
             if damping > 1e8:
                 status = "stalled"
                 break
             continue
         theta, logs, off = guesses[:, best].clone(), noises[best], offs[best]
-        damping = max(damping * FACTORS[best], 1e-10)
+        damping = max(damping * (tries[best][0] or 0.1), 1e-10)
         errors, variances = found[0][best][None], found[1][best][None]
         history.append(costs[best])
-        if cost - costs[best] < NATS:
+        if cost - costs[best] < NATS and settled:
             status = "converged"
             break
+        settled = True
     noise = fisher[count:, count:]
     hessian = fisher[:count, :count] - fisher[:count, count:] @ torch.linalg.solve(
         noise, fisher[count:, :count]
@@ -240,5 +287,6 @@ def estimate(
     return Estimate(
         theta, logs, history[-1], each(errors[0], variances[0], off) + widened, off, varying, status,
         errors[0].view(shape), variances[0].view(shape), names, by_error, by_variance, precision, hessian,
+        told / torch.outer(size, size),
         tuple(history),
     )  # fmt: skip

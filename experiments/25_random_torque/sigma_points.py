@@ -32,6 +32,8 @@ TINY = 1e-9
 """Least standard deviation of a state in the filter, over its largest value."""
 WEAKEST = 14.0
 """Least logarithm of the random torque's strength, below that of the records' acceleration."""
+LASTS = 0.1
+"""Correlation time of a random torque at most [s], and at least of ten samples: what lasts longer is a cause."""
 
 
 @functools.cache
@@ -62,8 +64,7 @@ class Likelihood:
 
     def __init__(self, system: System, engine: Engine, batch: Batch) -> None:
         self.system, self.engine, self.batch, self.free = system, engine, batch, system.estimated
-        hidden = {row for joint in system.joints for row in joint.hidden_rows(batch.outputs)}
-        self.pushed = [row for row in system.speed_rows if row not in hidden]
+        self.pushed = list(system.speed_rows)
         p, self.rate = system.views(list(system.theta().detach()[:, None])), torch.zeros_like(batch.y)
         for o, name in enumerate(batch.outputs):
             if name.startswith("q"):
@@ -73,10 +74,17 @@ class Likelihood:
             moves, torch.ones(()).to(batch.x)
         )
         usual = (change.square() * moves).sum((0, 1)).div(moves.sum()).sqrt().clamp_min(1e-6).log()
-        shares = [i.spec.value for i in system.table if i.symbol == "rotor_share"]
-        if hidden and shares:  # what is seen is the lighter for it
-            usual = usual - math.log(shares[0])
-        step, longest = math.log(batch.sample_time), math.log(float(batch.dt.sum(1).max()))
+        for joint in system.joints:  # each side of a gear is the lighter for its share
+            share = [
+                i.spec.value
+                for i in system.table
+                if i.symbol == "rotor_share" and i.component.startswith(f"{joint.name}/")
+            ]
+            if len(joint.positions) > 1 and share:
+                for row, part in zip(joint.positions, (share[0], 1.0 - share[0]), strict=True):
+                    usual[self.pushed.index(row + 1)] -= math.log(min(max(part, 0.01), 0.99))
+        step = math.log(batch.sample_time)
+        longest = max(math.log(LASTS), step + math.log(10.0))
         torques, outputs = len(self.pushed), len(batch.outputs)
         self.entries = [(name, k) for name in ("strength", "time", "creep") for k in range(torques)]
         self.entries += [(name, k) for name in ("scale", "jitter") for k in range(outputs)]
@@ -128,9 +136,9 @@ class Likelihood:
         return self._filtered(theta, logs, every=every)[2]
 
     def alone(self, theta: Tensor, logs: Tensor, every: int) -> Tensor:
-        """Sum of the squares of these errors over the outputs' variances, ``(K,)``; infinite for a lost model."""
+        """Squares of these errors over the outputs' variances, by sample, ``(K, R, T)``; infinite for a lost model."""
         spread = self.batch.std(self.batch.y).mean(0).clamp_min(1e-12)
-        return (self.ahead(theta, logs, every) / spread).square().sum((1, 2, 3)).nan_to_num(math.inf)
+        return (self.ahead(theta, logs, every) / spread).square().sum(3).nan_to_num(math.inf)
 
     def torque(self, theta: Tensor, logs: Tensor) -> tuple[Tensor, Tensor]:
         """Random torques given the whole records [rad/s^2], and their standard deviations, ``(K, R, T, n)`` each.
