@@ -53,7 +53,7 @@ LOST = (0.8, 0.4, 0.1)
 """Shares of the largest torque, and of the damping at which a loop does not swing: where a lost value is sought."""
 AFAR, NEAREST = 8, 1
 """Iterations of a first look at a model with other states, and from how many start points."""
-FEW, NEXT, DEEP, MOST = 4, 6, 3, 5
+FEW, NEXT, DEEP, MOST = 4, 10, 3, 5
 """Iterations by which the best first looks go on, how many do so, and how many to their ends; causes at most."""
 WAVES, STARTS, REPEATED = 200, 3, 2.0
 """Waves of a torque over the rotor's angle a turn at most; start points; waves over all motion at least."""

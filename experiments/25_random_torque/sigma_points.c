@@ -1,6 +1,7 @@
 /* Prediction errors of rows of records by a sigma-point Kalman filter; this file goes behind engine.c.
 
-   A row is a record under parameters of its own; W rows are lanes. What is filtered are the states and, behind them, a
+   A row is a record under parameters of its own; W rows are lanes, those of one record side by side, for friction holds
+   and breaks in them at about the same time. What is filtered are the states and, behind them, a
    random torque at each of some speeds, which goes into the equations through a channel. Points lie at the mean and
    sqrt(z) columns of the covariance's Cholesky factor to either side (I. Arasaratnam, S. Haykin, IEEE Trans. Automatic
    Control 54, 2009): the moments of outputs and of what comes after a sample are theirs, whatever friction does at
@@ -70,7 +71,7 @@ void predict(const Equations *e, double *white, double *logs, double *ahead, dou
              const double *torque, const double *tiny, const long *push, const long *speed, long rows, long records,
              long samples, long sub_steps, long outputs, long torques, long every)
 {
-    const long n = e->states, z = n + torques, now = z + z * z, next = now + z * z;
+    const long guesses = rows / records, n = e->states, z = n + torques, now = z + z * z, next = now + z * z;
     Rows all = room_for(e), room = all, x = some(&room, n), x_t = some(&room, n * e->columns);
     Rows held = some(&room, e->channels), fixed = some(&room, e->fixed), values = some(&room, e->parameters);
     Rows own = aligned_alloc(64, (z + 5 * z * z + outputs * (2 + 3 * z + outputs)) * sizeof(double[W]));
@@ -83,8 +84,9 @@ void predict(const Equations *e, double *white, double *logs, double *ahead, dou
     OUTPUTS none[o] = 0.0;
     for (long first = 0; first < rows; first += W) {
         EACH_LANE {
-            row[l] = first + l < rows ? first + l : rows - 1;
-            record[l] = row[l] % records;
+            const long lane = first + l < rows ? first + l : rows - 1;
+            record[l] = lane / guesses;
+            row[l] = lane % guesses * records + record[l];
             const double *mine = p + row[l] * e->parameters;
             e->prepare(mine, known);
             for (long i = 0; i < e->fixed; i++) fixed[i][l] = known[i];
