@@ -53,6 +53,8 @@ LOST = (0.8, 0.4, 0.1)
 """Shares of the largest torque, and of the damping at which a loop does not swing: where a lost value is sought."""
 AFAR, NEAREST = 8, 1
 """Iterations of a first look at a model with other states, and from how many start points."""
+SCOUTED = 8000
+"""Samples among which causes are looked for first."""
 FEW, NEXT, DEEP, MOST = 4, 10, 3, 5
 """Iterations by which the best first looks go on, how many do so, and how many to their ends; causes at most."""
 WAVES, STARTS, REPEATED = 200, 3, 2.0
@@ -173,11 +175,15 @@ class Part:
 
     def __init__(self, nominal: System, records: Sequence[Record]) -> None:
         self.nominal, self.records, self.fits = nominal, records, 0
+        share = SCOUTED / sum(record.n_samples for record in records)
+        parts = [(r, 0.5 * (r.time[0] + r.time[-1]), 0.5 * share * r.duration) for r in records]
+        cut = [record.between(middle - half, middle + half) for record, middle, half in parts]
+        self.scout = Part(nominal, cut) if share < 0.7 else self  # the records' middles
         self.sheet = {i.name: float(v) for i, v in zip(nominal.table, nominal.theta().detach(), strict=True)}
         nominal.aliases = {
             (i.component, i.symbol): i.name for i in nominal.table
         }  # whatever is added, names stay
-        self.usual = dict[str, float]()
+        self.usual = dict[str, float]() if self.scout is self else self.scout.usual
         self.visited: dict[frozenset[Cause], Model] = {}
 
     def likelihood(self, system: System) -> Likelihood:
@@ -377,34 +383,34 @@ class Part:
 
         From where the model's estimation ends, and from its data sheet's values, which what is missing has not bent.
         """
-        sheet = {name: value for name, value in self.sheet.items() if name in model.estimates}
-        chosen = {name for cause in model.causes for name in cause.values}
-        system = model.there.with_values({n: v for n, v in sheet.items() if n not in chosen})
-        origins = [model, self.fit(system, model.causes, None, FEW)]
+        scout, chosen = self.scout, {name for cause in model.causes for name in cause.values}
+        sheet = {n: v for n, v in self.sheet.items() if n in model.estimates and n not in chosen}
+        origins = [
+            model if scout is self else scout.fit(model.there, model.causes, model, FEW),
+            scout.fit(model.there.with_values(sheet), model.causes, None, FEW),
+        ]
         looked = list[Model]()
         for origin in origins:
             starts, first = dict[Cause, list[System]](), dict[Cause, Model]()
-            for cause, system in self.candidates(origin):
+            for cause, system in scout.candidates(origin):
                 starts.setdefault(cause, []).append(system)
             for cause, systems in starts.items():
                 # a further body has to be followed from afar: only from where its errors begin least
                 afar = len(systems[0].speed_rows) != len(model.system.speed_rows) or len(cause.values) > 1
-                if afar and origin is not model:
+                if afar and origin is not origins[0]:
                     continue
                 if afar:
-                    systems = sorted(systems, key=self.begins)[:NEAREST]
+                    systems = sorted(systems, key=scout.begins)[:NEAREST]
                 for system in systems:
                     with suppress(InputError):
                         causes = model.causes | {cause}
-                        tried = self.fit(system, causes, origin, AFAR if afar else 1, quick=not afar)
+                        tried = scout.fit(system, causes, origin, AFAR if afar else 1, quick=not afar)
                         if cause not in first or tried.total > first[cause].total:
                             first[cause] = tried
             ranked = sorted(first.values(), key=lambda tried: -tried.total)
-            looked += [self.fit(tried.there, tried.causes, tried, FEW) for tried in ranked[:NEXT]] + ranked[
-                NEXT:
-            ]
+            looked += [scout.fit(tried.there, tried.causes, tried, FEW) for tried in ranked[:NEXT]]
         looked.sort(key=lambda tried: -tried.total)
-        looked[:DEEP] = [self.fit(tried.there, tried.causes, tried) for tried in looked[:DEEP]]
+        looked = [self.fit(tried.there, tried.causes, tried) for tried in looked[:DEEP]]
         best = dict[frozenset[Cause], Model]()
         for tried in sorted(looked, key=lambda tried: -tried.total):
             best.setdefault(tried.causes, tried)
