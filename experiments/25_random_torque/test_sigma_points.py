@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.components import MotorEncoder, TorqueSensor
+from hybrid_id.identification.fit import make_bounds
 from hybrid_id.simulation import compiled
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -18,6 +19,7 @@ from hybrid_id.systems import System
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from drives import batch_of, flexible_drive, multisine, rigid_drive, stored  # pyright: ignore[reportMissingImports]
+from scoring import Prior, estimate
 from sigma_points import TINY, Likelihood
 
 ENGINE = Engine(compiled=True)
@@ -170,3 +172,25 @@ def test_the_torque_is_that_of_all_samples_at_once() -> None:
         torch.testing.assert_close(std[0, r, :, 0], spread, rtol=1e-6, atol=0.0)
         size = float(found.abs().max())
         torch.testing.assert_close(mean[0, r, :, 0], w[:, 1:] @ found, rtol=1e-6, atol=1e-6 * size)
+
+
+def test_a_fit_ends_at_the_prior_along_what_records_do_not_tell() -> None:
+    """Torque constant, friction and inertia may all grow alike: only their ratios show in a motion."""
+    system = rigid_drive()
+    truth = dict(zip((info.name for info in system.table), stored(system)[:, 0].tolist(), strict=True))
+    start = {"P_m1": 1.3, "P_m2": 0.9, "F_c": 0.6, "F_v": 1.5, "J": 0.8}
+    own = likelihood(system, "q_m1", "v_m1", samples=800)
+    own = Likelihood(system.with_values({n: k * truth[n] for n, k in start.items()}), ENGINE, own.batch)
+    names = tuple(own.system.table[i].name for i in own.free)
+    wide = torch.tensor([1.0 if name[0] == "F" else 0.3 for name in names]).double()
+    mean = torch.tensor([truth[name] for name in names]).double()
+    kinds = torch.ones(len(names), dtype=torch.bool), torch.diag(wide**-2), torch.zeros_like(wide)
+    end = estimate(own, Prior(names, make_bounds(own.system, own.free), mean, *kinds))
+    found = {name: float(end.theta[i]) / truth[name] for i, name in zip(own.free, names, strict=True)}
+    spread = torch.linalg.inv(end.hessian).diagonal().sqrt() / (torch.tensor([*found.values()]) * mean)
+    alike = 1.0 / math.sqrt(sum(1.0 / w**2 for w, n in zip(wide.tolist(), names, strict=True) if n != "P_m2"))
+    for name, std in zip(names, spread.tolist(), strict=True):
+        if name in ("P_m1", "J", "F_c"):
+            assert found[name] / found["J"] == pytest.approx(1.0, abs=0.05)
+            assert found[name] == pytest.approx(1.0, abs=alike)
+            assert std == pytest.approx(alike, rel=0.25)
