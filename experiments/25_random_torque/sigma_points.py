@@ -171,8 +171,13 @@ class Likelihood:
         rows = guesses * records
         each = theta.flatten(1) if theta.ndim == 3 else theta.repeat_interleave(records, 1)
         u = dict(batch.u)
-        if any(joint.drive.delay for joint in self.system.joints):
-            u = {name: channel.repeat(guesses, 1) for name, channel in u.items()}
+        late = {
+            f"{name}{joint.number}"
+            for joint in self.system.joints
+            if joint.drive.delay
+            for name in (*joint.drive.input[1].channels, "step")
+        }
+        u |= {name: c.repeat(guesses, 1) for name, c in u.items() if name.partition("@")[0] in late}
         u = dict(compiled._arrived(self.system, u, each))
         u |= {name: batch.dt.new_zeros(1, samples) for name in self.pushes}
         equations, constants = compiled._equations(self.system, self.engine, tuple(u), outputs=batch.outputs)
