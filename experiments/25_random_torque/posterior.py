@@ -47,14 +47,15 @@ CHANGED = 1.5
 """The same of a value that has changed for a reason of its own."""
 PRICE = math.log(2.0) + math.log(25.0)
 """What a further cause must bring: even odds that there is one, times as many that it might be."""
-FOLLOWED, FASTEST = 1.0, 500.0
-"""Largest step times the fastest eigenvalue, and sub-steps a second at most: what swings faster is damped away."""
+FOLLOWED, REMEMBERED, FASTEST = 1.0, 0.3, 500.0
+"""Largest step times the fastest eigenvalue, less with states that remember, and sub-steps a second at most: what
+swings faster is damped away."""
 LOST = (0.8, 0.4, 0.1)
 """Shares of the largest torque, and of the damping at which a loop does not swing: where a lost value is sought."""
-AFAR, NEAREST = 8, 1
-"""Iterations of a first look at a model with other states, and from how many start points."""
-SCOUTED = 8000
-"""Samples among which causes are looked for first."""
+AFAR = 8
+"""Iterations of a first look at a model with a further body."""
+SCOUTED, SHORT = 8000, 0.7
+"""Samples among which causes are looked for first, and their share of the records from which these are short."""
 FEW, NEXT, DEEP, MOST = 4, 10, 3, 5
 """Iterations by which the best first looks go on, how many do so, and how many to their ends; causes at most."""
 WAVES, STARTS, REPEATED = 200, 3, 2.0
@@ -138,9 +139,9 @@ class Model:
             for i, std in zip(free, spread, strict=True)
         }
 
-    def pieces(self, most: int = PIECES) -> Tensor:
-        """Logarithm of the likelihood of each of some pieces of the records."""
-        if len(self.end.each) >= most:
+    def pieces(self) -> Tensor:
+        """Logarithm of the likelihood of each piece of the records."""
+        if len(self.end.each) >= PIECES:
             return -self.end.each
         return in_pieces(-0.5 * (self.end.errors.square() + self.end.variances).sum(2))
 
@@ -175,10 +176,11 @@ class Part:
 
     def __init__(self, nominal: System, records: Sequence[Record]) -> None:
         self.nominal, self.records, self.fits = nominal, records, 0
-        share = SCOUTED / sum(record.n_samples for record in records)
-        parts = [(r, 0.5 * (r.time[0] + r.time[-1]), 0.5 * share * r.duration) for r in records]
-        cut = [record.between(middle - half, middle + half) for record, middle, half in parts]
-        self.scout = Part(nominal, cut) if share < 0.7 else self  # the records' middles
+        share, self.scout = SCOUTED / sum(record.n_samples for record in records), self
+        if share < SHORT:  # the records' middles
+            spans = [(0.5 * (r.time[0] + r.time[-1]), 0.5 * share * r.duration) for r in records]
+            middles = [r.between(m - half, m + half) for r, (m, half) in zip(records, spans, strict=True)]
+            self.scout = Part(nominal, middles)
         self.sheet = {i.name: float(v) for i, v in zip(nominal.table, nominal.theta().detach(), strict=True)}
         nominal.aliases = {
             (i.component, i.symbol): i.name for i in nominal.table
@@ -191,13 +193,10 @@ class Part:
         batch = make_batch(system, self.records, signal_share=0.0)
         theta = system.theta().detach()[:, None].expand(-1, batch.rows)
         engine = compiled_for(system, Engine())
-        rate = min(
-            fastest_rate(system, engine, batch, theta) / (FOLLOWED if not system.memory_rows else 0.3),
-            FASTEST,
-        )
-        return Likelihood(
-            system, replace(engine, substeps=max(1, math.ceil(rate * batch.sample_time))), batch
-        )
+        followed = REMEMBERED if system.memory_rows else FOLLOWED
+        rate = min(fastest_rate(system, engine, batch, theta) / followed, FASTEST)
+        substeps = max(1, math.ceil(rate * batch.sample_time))
+        return Likelihood(system, replace(engine, substeps=substeps), batch)
 
     def fit(
         self,
@@ -311,9 +310,8 @@ class Part:
 
     def idle(self, name: str) -> bool:
         """Whether a held value is at the end of what is declared for it, where it does nothing."""
-        info = next(info for info in self.nominal.table if info.name == name)
-        law = cast("dict[str, Component]", dict(self.nominal.components.items()))[info.component]
-        declared = law.declared[info.symbol]
+        info = self.nominal.parameter(name)
+        declared = cast(Component, self.nominal.components[info.component]).declared[info.symbol]
         return not info.spec.estimate and self.sheet[name] in (declared.lower, declared.upper)
 
     def misses(self, model: Model, name: str) -> float:
@@ -400,7 +398,7 @@ class Part:
                 if afar and origin is not origins[0]:
                     continue
                 if afar:
-                    systems = sorted(systems, key=scout.begins)[:NEAREST]
+                    systems = [min(systems, key=scout.begins)]
                 for system in systems:
                     with suppress(InputError):
                         causes = model.causes | {cause}
@@ -445,7 +443,7 @@ class Part:
                 if len(models.causes) == len(best.causes) and len(others) == 1:
                     rivals[cause][next(iter(others))] = best.total - models.total
         sets = list(self.visited.values())
-        pieces = torch.stack([model.pieces(PIECES) for model in sets])
+        pieces = torch.stack([model.pieces() for model in sets])
         generator = torch.Generator().manual_seed(0)
         weights = -torch.rand(DRAWS, pieces.shape[1], generator=generator, dtype=pieces.dtype).log()
         weights = pieces.shape[1] * weights / weights.sum(1, keepdim=True)
@@ -511,12 +509,9 @@ def in_pieces(by_sample: Tensor) -> Tensor:
 
 def errs_more(models: Mapping[str, Model], than: Mapping[str, Model]) -> bool:
     """Whether models surely err more than others while they run by themselves, over the records' pieces."""
-    more = torch.cat(
-        [(model.alone - than[name].alone) / than[name].alone.sum() for name, model in models.items()]
-    )
-    return not bool(more.isfinite().all()) or float(more.mean()) > SURELY * float(more.std()) / math.sqrt(
-        len(more)
-    )
+    more = torch.cat([(model.alone - than[n].alone) / than[n].alone.sum() for n, model in models.items()])
+    error = float(more.std()) / math.sqrt(len(more))
+    return not bool(more.isfinite().all()) or float(more.mean()) > SURELY * error
 
 
 def shapley(players: Sequence[str], squares: Mapping[frozenset[str], float]) -> dict[str, float]:

@@ -103,7 +103,8 @@ class Estimate:
         names: of the values that were free, and of the noise behind them.
         by_error, by_variance: slopes of errors and variances by these, ``(N, n)``.
         precision: of the free values' prior, ``(n_f, n_f)``.
-        hessian: of the cost by the free values, the noise eliminated.
+        hessian: of the cost by the free values, the noise and the records' own values eliminated.
+        told: the same with these held.
         history: cost after each iteration.
     """
 
@@ -207,10 +208,10 @@ def estimate(
                 part.flatten(1) for part in likelihood.errors(of_records(guesses, off), noises)
             )
             by_error, by_variance = (errors.new_empty(errors.shape[1], len(names)) for _ in range(2))
-            back = torch.eye(len(new)).to(theta) / LOG_ASIDE  # slopes by values from differences along axes
-            back[: len(moving), : len(moving)] = torch.linalg.inv(aside)
-            by_error[:, new] = (errors[1:] - errors[0]).T @ back
-            by_variance[:, new] = (variances[1:] - variances[0]).T @ back
+            by_value = torch.eye(len(new)).to(theta) / LOG_ASIDE  # from differences along axes
+            by_value[: len(moving), : len(moving)] = torch.linalg.inv(aside)
+            by_error[:, new] = (errors[1:] - errors[0]).T @ by_value
+            by_variance[:, new] = (variances[1:] - variances[0]).T @ by_value
             if known is not None:
                 by_error[:, same], by_variance[:, same] = (
                     known.by_error[:, there],

@@ -1,11 +1,10 @@
 /* Prediction errors of rows of records by a sigma-point Kalman filter; this file goes behind engine.c.
 
    A row is a record under parameters of its own; W rows are lanes, those of one record side by side, for friction holds
-   and breaks in them at about the same time. What is filtered are the states and, behind them, a
-   random torque at each of some speeds, which goes into the equations through a channel. Points lie at the mean and
-   sqrt(z) columns of the covariance's Cholesky factor to either side (I. Arasaratnam, S. Haykin, IEEE Trans. Automatic
-   Control 54, 2009): the moments of outputs and of what comes after a sample are theirs, whatever friction does at
-   them. */
+   and breaks in them at about the same time. What is filtered are the states and, behind them, a random torque at each
+   of some speeds, which goes into the equations through a channel. Points lie at the mean and sqrt(z) columns of the
+   covariance's Cholesky factor to either side (I. Arasaratnam, S. Haykin, IEEE Trans. Automatic Control 54, 2009): the
+   moments of outputs and of what comes after a sample are theirs, whatever friction does at them. */
 #define Z for (long i = 0; i < z; i++)
 #define OUTPUTS for (long o = 0; o < outputs; o++)
 #define TORQUES for (long k = 0; k < torques; k++)

@@ -22,6 +22,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from hybrid_id.diagnosis.catalogue import rotor_share
 from hybrid_id.simulation import compiled
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import call, library
@@ -75,13 +76,11 @@ class Likelihood:
         )
         usual = (change.square() * moves).sum((0, 1)).div(moves.sum()).sqrt().clamp_min(1e-6).log()
         for joint in system.joints:  # each side of a gear is the lighter for its share
-            share = [
-                i.spec.value
-                for i in system.table
-                if i.symbol == "rotor_share" and i.component.startswith(f"{joint.name}/")
-            ]
-            if len(joint.positions) > 1 and share:
-                for row, part in zip(joint.positions, (share[0], 1.0 - share[0]), strict=True):
+            share = rotor_share(system, f"{joint.name}/")
+            if len(joint.positions) > 1 and share is not None:
+                for row, part in zip(
+                    joint.positions, (share.spec.value, 1.0 - share.spec.value), strict=True
+                ):
                     usual[self.pushed.index(row + 1)] -= math.log(min(max(part, 0.01), 0.99))
         step = math.log(batch.sample_time)
         longest = max(math.log(LASTS), step + math.log(10.0))
@@ -172,10 +171,9 @@ class Likelihood:
         each = theta.flatten(1) if theta.ndim == 3 else theta.repeat_interleave(records, 1)
         u = dict(batch.u)
         late = {
-            f"{name}{joint.number}"
+            name
             for joint in self.system.joints
-            if joint.drive.delay
-            for name in (*joint.drive.input[1].channels, "step")
+            for name in (*joint.drive.past(batch.sample_time), f"step{joint.number}")
         }
         u |= {name: c.repeat(guesses, 1) for name, c in u.items() if name.partition("@")[0] in late}
         u = dict(compiled._arrived(self.system, u, each))
